@@ -5,6 +5,7 @@ import itertools
 import operator
 import pickle
 import re
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -453,12 +454,32 @@ def test_a_subclass_of_a_polyhedron_has_its_own_arguments(C):
 
 def test_nearly_opposite_rows_are_a_wedge_and_no_equation():
     """The pair at (0, 5) of a line is none of the wedge x <= 0, x >= a y, whose apex is nearest."""
-    for a in np.geomspace(4e-15, 1e-9, 13):  # 8 roundings are not told from parallel
+    for a in np.geomspace(1e-15, 1e-9, 14):
         C = so.Polyhedron([[1.0, 0.0], [-1.0, a]], [0.0, 0.0])
         pair = C.normal_pair(np.zeros(2), np.array([0.3, 5.0]), np.ones(2))
         if pair is not None:
             moved = 0.0 if pair.perturbation is None else np.linalg.norm(pair.perturbation.w)
             assert pair.w[1] <= 1e-12 or moved > 1e-3
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0, 0.1])
+def test_rows_that_are_opposite_but_for_rounding_are_an_equation_or_refused(factor):
+    """With G[1] = -k G[0], rounded, a plane or, where k G[0] is rounded, a wedge at random."""
+    row, side = np.array([0.1, 0.3, 0.7]), 0.2
+    for turn in range(-4, 5):
+        other = -factor * row
+        other[2] += turn * np.spacing(other[2])
+        h = [side, -factor * side]
+        x, y = (np.array([Fraction(number) for number in G]) for G in (row, other))
+        exact = (x * y[0] == y * x[0]).all()
+        C = so.Polyhedron([row, other], h)
+        process = so.SweepingProcess(np.eye(3), None, C, np.zeros(3))
+        if exact:
+            process.check(np.zeros(1))
+            continue
+        with pytest.raises(so.InputError, match=r"rows 0 and 1 of G w <= h are opposite but for"):
+            process.check(np.zeros(1))
+        so.Polyhedron([row, other], [side, 1.0]).require_nonempty()  # a slab of some width
 
 
 WIDE = so.image(np.random.default_rng(0).normal(size=(3, 320)) / 20, so.Balls(np.ones(160), 2))

@@ -21,12 +21,14 @@ from sweepopt.sets.cvxpy_lock import in_turn
 from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance
+from sweepopt.sets.lifted import Lifted
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent
 from sweepopt.sets.operations import image, product
 from sweepopt.sets.parallel import parallel_rows
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
 from sweepopt.sets.programs import CAREFUL
+from sweepopt.sets.projection import InMetric, Start
 from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
 
 __all__ = [
@@ -44,6 +46,8 @@ __all__ = [
     "Ellipsoid",
     "Features",
     "HalfSpace",
+    "InMetric",
+    "Lifted",
     "Moving",
     "MovingOffsets",
     "MovingSet",
@@ -55,6 +59,7 @@ __all__ = [
     "SecondOrderCone",
     "Selection",
     "Similar",
+    "Start",
     "StateDependent",
     "WholeSpace",
     "basis",

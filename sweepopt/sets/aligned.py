@@ -153,19 +153,30 @@ class Aligned(ConvexSet):
         return assembled(self.blocks(v), self.dim)
 
     @property
+    def _few(self) -> bool:
+        return self.unknowns is not None and self.unknowns.size < self.dim
+
+    @property
+    def differentiable(self) -> bool:
+        return not self._few and all(S.differentiable for S in self.parts)
+
+    @property
     def block(self) -> int:
         return max(S.block for S in self.parts)
 
     def blocks(self, v: np.ndarray) -> list[Blocks] | None:
         """None for few of the unknowns."""
         each = [S.blocks(x) for S, x in self._split(self._back(v))]
-        few = self.unknowns is not None and self.unknowns.size < self.dim
-        if few or any(blocks is None for blocks in each):
+        if self._few or any(blocks is None for blocks in each):
             return None
         if self.whole:
             return each[0]
         every, places = np.arange(self.dim), zip(self._places, each, strict=True)
         return [one._replace(unknowns=every[at][one.unknowns]) for at, of in places for one in of]
+
+    @property
+    def nonsmooth_dim(self) -> int:
+        return sum(S.nonsmooth_dim for S in self.parts)
 
     def exchange(self, diagonal: np.ndarray) -> np.ndarray:
         return self._joined([S.exchange(x) for S, x in self._split(diagonal)])

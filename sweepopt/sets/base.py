@@ -223,6 +223,13 @@ class Form(NamedTuple):
         """Whether dense matrices of its size are cheap."""
         return max(*self.E.shape, *self.F.shape) <= DENSE
 
+    @property
+    def rows(self) -> Any:
+        """Those of E and of F, dense where that is cheap."""
+        if self.small:
+            return np.vstack([dense(self.E), dense(self.F)])
+        return sp.csc_array(sp.vstack([self.E, self.F]))
+
     def image(self, M: Any) -> Form:
         """M C."""
         return self._replace(E=sp.csr_array(sp.csr_array(M) @ self.E))
@@ -401,6 +408,11 @@ class ConvexSet(Operators, ABC):
         """How many unknowns `derivative` couples at most."""
         return self.dim
 
+    @cached_property
+    def differentiable(self) -> bool:
+        """Whether `blocks` is known."""
+        return self.blocks(self.anchor) is not None
+
     def blocks(self, v: np.ndarray) -> list[Blocks] | None:
         """The blocks of `derivative`; None where that is not known."""
         D, at = self.derivative(v), np.arange(self.dim)
@@ -480,7 +492,7 @@ class ConvexSet(Operators, ABC):
         return self.algebra.epigraph(self, p)
 
     def is_beyond(self, w: np.ndarray, distance: float) -> bool:
-        """Whether what was computed before tells that w is further from C than that."""
+        """Whether it is known without a projection that w is further from C than that."""
         return False
 
     def contains(self, w: np.ndarray, tol: float = 1e-9) -> bool:

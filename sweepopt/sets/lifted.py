@@ -34,7 +34,7 @@ from sweepopt.sets.base import (
     same_array,
 )
 from sweepopt.sets.programs import normal_by_program, support_by_program
-from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point
+from sweepopt.sets.projection import Projection, Projector, Splitting, Start, fixed_point
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -162,9 +162,12 @@ class Lifted(ConvexSet):
         near: Projection = self._kept(v, self._projection)
         return near
 
-    def _projection(self, v: np.ndarray) -> Projection:
-        v = v.copy()
-        near = self._projector(v, self._projector.start(v))
+    def start_at(self, v: np.ndarray, start: Start) -> None:
+        """Find `near(v)` from a start."""
+        self._last = v.tobytes(), self._projection(v, start)
+
+    def _projection(self, v: np.ndarray, start: Start | None = None) -> Projection:
+        near = self._projector(v.copy(), start)
         limit = TENSION_EXACT if near.exact else TENSION
         cut = bool(self.lifted.F.shape[0]) and self.lifted.small
         # a polyhedron's is linear in the data, however large its multipliers are
@@ -229,6 +232,10 @@ class Lifted(ConvexSet):
         return near.splitting.derivative(near) if near is not None and near.exact else None
 
     @property
+    def differentiable(self) -> bool:
+        return self.certifiable and self.lifted.small and self.part.differentiable
+
+    @property
     def block(self) -> int:
         return self.dim if self._blocks is None else self._blocks.block
 
@@ -258,17 +265,22 @@ class Lifted(ConvexSet):
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
-        if not self.lifted.F.shape[0]:
-            return
-        try:
-            self.project(np.zeros(self.dim))
-            empty = not self.near(np.zeros(self.dim)).exact and self._separated()
-        except EmptySetError:
-            empty = True
-        except TouchingError:  # or do not meet
-            empty = self._separated()
-        if self.certifiable and empty:
+        if self._blocks is not None:
+            self._blocks.require_nonempty(where)
+        elif self.lifted.F.shape[0] and self.certifiable and self._is_empty():
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+
+    def _is_empty(self) -> bool:
+        zero = np.zeros(self.dim)
+        try:
+            if self._pair(zero) is not None:
+                return False
+            self.project(zero)
+        except EmptySetError:
+            return True
+        except TouchingError:  # or do not meet
+            pass
+        return self._separated()
 
     def _separated(self) -> bool:
         """Whether the shortest vector from S to { F s = 0 } separates the two."""
@@ -327,6 +339,12 @@ class Intersection(Lifted):
                 if not other.normal(w).any():
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))
         return super()._pair(v)
+
+    def is_beyond(self, w: np.ndarray, distance: float) -> bool:
+        """By the points of the two sets, or as of other sets."""
+        rounding = 10 * ROUNDING * float(np.abs(np.append(w, self.part.offsets)).max())
+        away = (np.linalg.norm(w - C.project(w)) for C in self.operands if C.exact)
+        return any(a > distance + rounding for a in away) or super().is_beyond(w, distance)
 
     def magnitude(self) -> float:
         return min(C.magnitude() for C in self.operands)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.linalg import EPS, row_lengths
+from sweepopt.linalg import EPS, dense, product_error, row_lengths
 
 SAME = 4 * EPS  # of unit rows: k n is rounded once, and both lengths three times
 
@@ -32,12 +32,23 @@ class Parallel(NamedTuple):
         change = np.abs(d[i].T - sign * d[j].T).T.reshape(i.size, d[:1].size)
         return change.max(axis=1, initial=0.0) <= np.maximum(margin[i], margin[j])
 
+    def among(self, some: np.ndarray) -> Parallel:
+        """Some of the pairs."""
+        return Parallel(*(x[some] for x in self))
+
+    def opposite_but_for_rounding(self, R: Any) -> np.ndarray:
+        """Which pairs of rows R are a wedge: opposite, but no row is a multiple of the other."""
+        x, y = dense(R[self.i]), dense(R[self.j])
+        largest = np.abs(x).argmax(axis=1)[:, None]
+        of_x, of_y = (np.take_along_axis(z, largest, axis=1) for z in (x, y))
+        other = (of_y * x != of_x * y) | (product_error(of_y, x) != product_error(of_x, y))
+        return (self.sign < 0) & other.any(axis=1)
+
 
 def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
     """The pairs among unit rows, dense or sparse; rows of zeros are in none.
 
-    They differ by their rounding: n w <= 0 and -n' w <= 0 with other rows are a wedge, however
-    thin, and its apex may be far from where its faces are taken for one.
+    They differ by no more than the rounding of a multiple of a row.
 
     Examples
     --------

@@ -64,6 +64,8 @@ class Polyhedron(ConvexSet):
     ------
     InputError
         If G or h is not finite, or h does not have a number for each row of G.
+        From `require_nonempty`, if two rows with one side are opposite but for rounding: one has to
+        be an exact multiple of the other to make an equation.
     EmptySetError
         From `project`, `support` and `require_nonempty`, if no w satisfies G w <= h.
 
@@ -97,7 +99,9 @@ class Polyhedron(ConvexSet):
         self.rows = rows if max(rows.shape) > DENSE else dense(rows)
         lengths = row_lengths(self.rows)
         self._lengths = np.where(lengths > 0, lengths, np.inf)
-        self._parallel = parallel_rows(_columns(self.rows.T, 1 / self._lengths).T)
+        pairs = parallel_rows(_columns(self.rows.T, 1 / self._lengths).T)
+        wedges = pairs.opposite_but_for_rounding(self.rows)
+        self._parallel, self._wedges = pairs.among(~wedges), pairs.among(wedges)
         self._lead = np.arange(lengths.size)  # the first of all parallel rows
         np.minimum.at(self._lead, self._parallel.j, self._parallel.i)
         self._set_offsets(h)
@@ -375,6 +379,15 @@ class Polyhedron(ConvexSet):
         return Halfspaces.below(self.G, self.h)
 
     def require_nonempty(self, where: str = "C") -> None:
+        d = self.offsets / self._lengths
+        same = self._wedges.among(self._wedges.equal(d, ROUNDING * np.abs(d)))
+        if same.i.size:
+            i, j = same.i[0], same.j[0]
+            raise InputError(
+                f"{where}: rows {i} and {j} of G w <= h are opposite but for rounding: a wedge, "
+                f"whose apex may be anywhere, or an equation; for that make row {j} minus row {i}, "
+                "for a wedge turn one of them further"
+            )
         try:
             self.project(np.zeros(self.dim))
         except EmptySetError as error:

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from sweepopt.linalg import dense, row_lengths
-from sweepopt.sets.base import RANK, ROUNDING, Form, Perturbation, binary, places
+from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, places
 from sweepopt.sets.shapes import Box
 
 # Of 600 projections on random composed sets (2 to 12 unknowns, three operations, thin and touching
@@ -55,10 +55,14 @@ class Projection(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Points s of the parts and their normals n, in the units of the plain splitting."""
+    """Points s of the parts and their normals n."""
 
     s: np.ndarray
     n: np.ndarray
+
+    def scaled(self, units: np.ndarray) -> Start:
+        """In these units of s."""
+        return Start(units * self.s, self.n / units)
 
 
 class Projector:
@@ -70,21 +74,19 @@ class Projector:
 
     def __init__(self, form: Form) -> None:
         # units in which the columns of E and F are near 1, as far as parts keep their metric
-        squares = row_lengths(sp.csc_array(sp.vstack([form.E, form.F])).T) ** 2
+        squares = row_lengths(form.rows.T) ** 2
         each = zip(form.parts, places(form.parts), strict=True)
         weights = np.concatenate([part.weights(squares[at]) for part, at in each])
         units = np.array([binary(size) for size in np.sqrt(weights).tolist()])
         self.splitting = lru_cache(16)(lambda unit: Splitting(form, unit * units))
 
-    def start(self, v: np.ndarray) -> Start:
-        """From where v pulls 0."""
+    def __call__(self, v: np.ndarray, start: Start | None = None) -> Projection:
+        """The projection of v, as exactly as it is found; without a start from where v pulls 0."""
         plain = self.splitting(1.0)
-        s = plain.projected(plain.E.T @ v)
-        return Start(s, plain.E.T @ (v - plain.E @ s))
-
-    def __call__(self, v: np.ndarray, start: Start) -> Projection:
-        """The projection of v, as exactly as it is found."""
-        plain, near = self.splitting(1.0), self._from(v, start)
+        if start is None:
+            s = plain.projected(plain.E.T @ v)
+            start = Start(s, plain.E.T @ (v - plain.E @ s)).scaled(1 / plain.units)
+        near = self._from(v, start)
         starts = iter(()) if near.exact else plain.proximal_points(v, start)
         for better in starts:
             near = self._from(v, better)
@@ -97,7 +99,8 @@ class Projector:
 
         Where normals have become large on the way, the units for them are known only then.
         """
-        plain, (s, n) = self.splitting(1.0), start
+        plain = self.splitting(1.0)
+        s, n = start.scaled(plain.units)
         size_s = float(max(np.abs(s).max(), plain.rounding_scale(s).max()))
         size_n = max(float(np.abs(n).max()), float(abs(plain.E).max() * np.abs(v).max()))
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
@@ -105,17 +108,36 @@ class Projector:
         return self.splitting(unit).projection(v, unit * s - n / unit, size)
 
 
+class InMetric:
+    """For the z with -z in N_C(M z + q): M z + q is the point of C nearest to q in that of M^-1.
+
+    With M = L L^T it is L w, w the point of L^-1 C nearest to L^-1 q.
+    """
+
+    def __init__(self, C: ConvexSet, M: np.ndarray) -> None:
+        form, self._L = C.form(), np.linalg.cholesky(M)
+        E = scipy.linalg.solve_triangular(self._L, dense(form.E), lower=True)
+        self._projector = Projector(form._replace(E=E))
+
+    def __call__(self, q: np.ndarray, start: Start | None) -> tuple[np.ndarray, Start]:
+        """About z, the points of the parts, and the normals that add up to -z."""
+        v = scipy.linalg.solve_triangular(self._L, q, lower=True)
+        near = self._projector(v, start)
+        z = scipy.linalg.solve_triangular(self._L, near.w - v, trans=1, lower=True)
+        return z, Start(near.s, near.image - near.s).scaled(1 / near.splitting.units)
+
+
 class Splitting:
     """The two maps of a lifted set, in units of s: one a part, which keeps its own metric."""
 
     def __init__(self, form: Form, units: np.ndarray) -> None:
-        self.small = form.small
+        self.small, self.units = form.small, units
         self.parts = [
             (part, at, units[at]) for part, at in zip(form.parts, places(form.parts), strict=True)
         ]
         m, n = form.F.shape
         if self.small:
-            rows = np.vstack([dense(form.E), dense(form.F)]) / units
+            rows = form.rows / units
             self.E, self.F = rows[: -m or None], rows[len(rows) - m :]
             self._K = _inverse(rows.tobytes(), m, n)
         else:
@@ -210,9 +232,10 @@ class Splitting:
         program in (p, lam) is 0. That program is convex, without constraints, and smooth: Newton
         steps on it descend. Where they are too many, c is too large.
         """
-        if not self.is_smooth(start.s):
+        if not self.is_smooth(start.scaled(self.units).s):
             return
-        A, s, zero = np.vstack([self.E, -self.F]), start.s, np.zeros(len(self.F))
+        s, _ = start.scaled(self.units)
+        A, zero = np.vstack([self.E, -self.F]), np.zeros(len(self.F))
         y = np.append(v - self.E @ s, zero)
         pull = float(np.abs(A.T @ y).max())
         size_s = float(max(np.abs(s).max(), self.rounding_scale(s).max()))
@@ -220,7 +243,7 @@ class Splitting:
         for _ in range(PROXIMAL_POINTS):
             y, solved = self._dual_point(A, np.append(v, zero), s, c, y)
             s = self.projected(s + c * (A.T @ y))
-            yield Start(s, A.T @ y)
+            yield Start(s, A.T @ y).scaled(1 / self.units)
             c *= GROWTH if solved else GROWTH**-2
 
     def _dual_point(

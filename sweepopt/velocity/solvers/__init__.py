@@ -33,7 +33,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     "auto" is DAQP for small boxes if it is installed, Newton for small sets whose projection has a
     derivative, then OSQP for polyhedra and Clarabel for the rest: in this order of speed. Where a
     polyhedron couples its unknowns OSQP is faster than Newton, and Clarabel where a projection is
-    itself an iteration.
+    itself an iteration on each of many parts.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     if isinstance(solver, str) and solver == "auto":
         fastest = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
         coupled = bool(small) and C.polyhedral and C.block > 1
-        first = 1 if coupled or not C.exact else 0
+        first = 1 if (coupled if C.exact else C.block < C.dim) else 0
         return (*fastest, *general[:first], *small, *general[first:])
     if isinstance(solver, str):
         name, _, engine = solver.partition(":")

@@ -24,8 +24,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix, count
-from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, euclidean
-from sweepopt.sets import Blocks, ConvexSet, Polyhedron, shape_of
+from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
+from sweepopt.sets import Blocks, ConvexSet, InMetric, Lifted, Polyhedron, Start, shape_of
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
@@ -78,7 +78,7 @@ class Newton(Small):
         """
         if C.block > self.max_dim or isinstance(shape_of(C), Polyhedron):
             return False
-        return C.blocks(C.anchor) is not None
+        return C.differentiable
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last, or from one it is given."""
@@ -97,23 +97,39 @@ class _Iteration:
         self._M, self._max_iter = M, max_iter
         self._z = np.zeros(M.dim)
         self._last: tuple[bytes, Any] = b"", None
+        self._metric: tuple[ConvexSet | None, Any] = None, None
+        self._start: Start | None = None
 
     def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
         self._z, iterations = self._z if start is None else start, 0
+        near = not C.exact and C.block == C.dim and start is None
+        if near:
+            self._z = self._nearest(q, C)
         for damped in (False, True):
-            self._z, converged, steps = self._iterated(q, C, self._z, damped)
+            self._z, converged, steps = self._iterated(q, C, self._z, damped, near)
             iterations += steps
             if converged:
                 break
         return Answer(self._z, iterations=iterations, status="iterated")
 
+    def _nearest(self, q: np.ndarray, C: ConvexSet) -> np.ndarray:
+        """About z, for a C whose own projection iterates: from one in the metric of M^-1."""
+        if self._metric[0] is not C:
+            self._metric = C, InMetric(C, dense(self._M.M))
+        z, self._start = self._metric[1](q, self._start)
+        if isinstance(C, Lifted):
+            w, _ = self._M.apply(z, q, NEGLIGIBLE)
+            T = C.weights(self._M.diagonal)
+            C.start_at(w - T * z, Start(self._start.s, T[0] * self._start.n))
+        return z
+
     def _iterated(
-        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool
+        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool, stalled: int
     ) -> tuple[np.ndarray, bool, int]:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest, stalled, iteration = math.inf, 0, 0
+        smallest, iteration = math.inf, 0
         start, change, share = z, np.zeros_like(z), 1.0
         while iteration < self._max_iter:
             w, size_z = self._M.apply(z, q, NEGLIGIBLE)
