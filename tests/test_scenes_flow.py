@@ -32,7 +32,7 @@ def steady(name: str, P: float, **domain: Any) -> tuple[Scene, np.ndarray]:
 
 def mean_of(scene: Scene, values: np.ndarray) -> np.ndarray:
     """The integral over the section, of values at its nodes in the last axis."""
-    integrals = skfem.LinearForm(lambda v, _: 1.0 * v).assemble(scene.discretisation.scalar)
+    integrals = skfem.LinearForm(lambda v, _: 1.0 * v).assemble(scene.discretisation.basis)
     return values @ integrals[scene.discretisation.nodes[0]]
 
 
