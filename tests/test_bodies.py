@@ -62,6 +62,39 @@ def test_a_uniform_traction_strains_a_block_as_hookes_law_says(kind, element):
     np.testing.assert_allclose(u, strain * scene.discretisation.points, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    "more", [[], [MaxwellBranch(0.5, E=2.0, nu=0.1)], [{"Hk": 1.0}], [{"Hi": 1.0}]]
+)
+@pytest.mark.parametrize(
+    ("kind", "element"), [("plane stress", "P1"), ("plane stress", "P2"), ("solid", "P1")]
+)
+def test_the_stress_of_a_block_is_the_traction_on_its_end_whatever_it_is_made_of(
+    kind, element, more
+):
+    plastic = [fem.Plasticity(0.5, **one) for one in more if isinstance(one, dict)]
+    pull = Traction("right", so.Sine(1.0, period=4.0), f2=2.0)
+    effects = [Viscosity(1.0, zeta=0.4), MATERIAL[1], *(plastic or more), pull]
+    scene = body(space(kind, element=element), effects, t_end=3.0, steps=6, scheme="implicit-euler")
+    solution = scene.solve(tol=1e-10)
+    traction = 2 * abs(np.sin(np.pi / 2 * solution.t[1:]))
+    stress = scene.stress(solution)[1:]
+    np.testing.assert_allclose(stress, np.broadcast_to(traction[:, None], stress.shape), atol=1e-8)
+    np.testing.assert_array_equal(scene.stress(solution, [1.5, 3.0]), stress[[2, 5]])
+    assert not plastic or scene.plastic_strain(solution)[-1].min() > 0.01
+
+
+def test_shear_stress_is_that_of_the_traction_and_none_where_strains_do_not_tell_it():
+    effects = [Viscosity(2.0), Elasticity(1.0), Traction("right", so.Constant(), f2=3.0)]
+    scene = antiplane(square(3), clamped="left", effects=effects)
+    solution = scene.solve(t_end=1.0, steps=2, scheme="implicit-euler")
+    np.testing.assert_allclose(scene.stress(solution)[1:], 3.0, rtol=1e-9)
+    for other in (YieldStress(0.1), Viscosity(tensor=np.eye(2))):
+        without = antiplane(square(3), clamped="left", effects=[*effects, other])
+        assert without.stress(without.solve(t_end=1.0, steps=2)) is None
+    with pytest.raises(so.InputError, match=r"stress needs a body .* whose strains tell"):
+        without.plot(solution, "stress")
+
+
 @pytest.mark.parametrize(("element", "expected"), [("P1", 2), ("P2", 3)])
 @pytest.mark.parametrize("kind", ["plane strain", "solid"])
 def test_a_manufactured_displacement_is_met_with_the_order_of_the_element(kind, element, expected):

@@ -90,7 +90,7 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
         "of the contact slips",
         "J m-1 = stored 0 + viscous",
         "worst certificate",
-        "solution.nc, displacement.png, contact.png, vtu/solution.vtu.series, summary.json",
+        "solution.nc, displacement.png, stress.png, contact.png, vtu/solution.vtu.series, ",
     ):
         assert words in shown.out
     assert "30/30" in shown.err

@@ -27,6 +27,7 @@ HOMES = {
     "meshio": ("fem",),
     "matplotlib": ("fem", "plot", "study"),
     "mpl_toolkits": ("fem",),
+    "pyvista": ("fem",),
     "xarray": ("results",),
     "h5netcdf": ("results",),
     "tqdm": ("integrate",),

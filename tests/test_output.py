@@ -148,6 +148,8 @@ def test_vtu_series_holds_the_solution(tmp_path, element, kind):
         fields = {"displacement": solution.u[i], "velocity": solution.velocity[max(i - 1, 0)]}
         for name, values in fields.items():
             np.testing.assert_array_equal(mesh.point_data[name], body.expand(values))
+        (stress,) = report.scene.stress(solution, solution.t[i])
+        np.testing.assert_allclose(mesh.cell_data["stress"][0], stress, rtol=1e-12)
     points, cells = mesh.points, mesh.cells[0].data
     centre = points[cells[:, :3]].mean(axis=1)
     material = np.where(np.hypot(*centre[:, :2].T) < 1.5, 1, 2)

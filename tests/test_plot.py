@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from matplotlib.collections import PathCollection, QuadMesh, TriMesh
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
@@ -24,6 +25,7 @@ from sweepopt.fem import (
     body,
     grid,
     read_scene,
+    snapshots,
 )
 from sweepopt.fem.output import Report
 from sweepopt.fem.pictures import DRAWN, FIELDS, draw
@@ -235,15 +237,57 @@ def test_every_picture_that_a_scene_can_ask_for_is_drawn():
         read_scene({"pictures": ["nonsense"], "domain": {}, "time": {}, "effects": {}})
 
 
-def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused():
+@pytest.fixture(scope="module")
+def solid():
     box = grid([2.0, 1.0, 1.0], [2, 1, 1])
     space = Discretisation(box, "back", kind="solid")
     effects = [Viscosity(1.0), Elasticity(E=1.0, nu=0.3), Friction("front", g=0.01)]
     scene = body(space, [*effects, Traction("right", so.Sine(0.1, 4.0), [1.0, 0.0, 0.0])])
-    solution = scene.solve(t_end=1.0, steps=2)
-    figure = scene.plot(solution, "surface")
-    assert figure.axes[0].name == "3d"
-    faces = next(one for one in figure.axes[0].collections if one.get_array() is not None)
-    assert len(faces.get_array()) == len(scene.discretisation.triangles)
+    return scene, scene.solve(t_end=1.0, steps=2)
+
+
+def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused(solid, monkeypatch):
+    monkeypatch.setattr(snapshots, "off_screen", lambda: None)
+    scene, solution = solid
+    for name in ("surface", "stress"):
+        panel, *_ = scene.plot(solution, name).axes
+        assert panel.name == "3d"
+        faces = next(one for one in panel.collections if one.get_array() is not None)
+        values = faces.get_array()
+        assert len(values) == len(scene.discretisation.triangles)
+    stress, mesh = scene.stress(solution), scene.discretisation.mesh
+    assert set(values) <= set(stress[1])  # the first panel: the end of the first step
+    assert values.size == mesh.boundary_facets().size
     with pytest.raises(so.InputError, match="pictures: flow needs a section with a yield stress"):
         scene.plot(solution, "flow")
+
+
+def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):
+    pytest.importorskip("pyvista")
+    if snapshots.off_screen() is None:
+        pytest.skip("nothing draws off-screen here")
+    scene, solution = solid
+    figure = scene.plot(solution, "stress")
+    shown = figure.axes[0].images[0].get_array()
+    assert len(np.unique(shown.reshape(-1, 3), axis=0)) > 20
+    assert figure.axes[-1].get_ylim() == (0.0, scene.stress(solution).max())
+
+
+def test_a_section_is_drawn_with_the_stress_of_its_cells(run):
+    figure = draw(run, "stress")
+    stress = run.scene.stress(run.solution)
+    (drawn,) = figure.axes[5].collections
+    np.testing.assert_array_equal(drawn.get_array(), np.tile(stress[-1], 4))
+
+
+def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    monkeypatch.setattr(plot, "MOST_FRAMES", 5)
+    with rc_context({"animation.ffmpeg_path": ffmpeg.get_ffmpeg_exe()}):
+        film = stick_slip(1).animate(tmp_path / "run.mp4").read_bytes()
+    assert film[4:8] == b"ftyp"
+    with (
+        rc_context({"animation.ffmpeg_path": "no such program"}),
+        pytest.raises(so.InputError, match=r"an MP4 is made by ffmpeg, .*; install it"),
+    ):
+        stick_slip(1).animate(tmp_path / "run.mp4")

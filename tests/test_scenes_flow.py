@@ -28,7 +28,7 @@ def steady(name, P, **domain):
 
 def mean_of(scene, values):
     """The integral over the section, of values at its nodes in the last axis."""
-    integrals = skfem.LinearForm(lambda v, _: 1.0 * v).assemble(scene.discretisation.scalar)
+    integrals = skfem.LinearForm(lambda v, _: 1.0 * v).assemble(scene.discretisation.basis)
     return values @ integrals[scene.discretisation.nodes[0]]
 
 

@@ -204,9 +204,12 @@ class Viscosity(Record):
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
         place = body.place("eta", (BODY,))
+        return Contribution(A=_stiffness(body, place, *self.moduli(body, place), self.tensor))
+
+    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+        """zeta and eta at the points of a quadrature; eta is None where a tensor is given."""
         eta = None if self.eta is None else place.values(ETA, self.eta)
-        zeta = place.values(ZETA, self.zeta)
-        return Contribution(A=_stiffness(body, place, zeta, eta, self.tensor))
+        return place.values(ZETA, self.zeta), eta
 
 
 @dataclass(frozen=True)
@@ -362,7 +365,7 @@ class Foundation(Record):
 
     def shift(self, body: Discretisation) -> Array:
         """All degrees of freedom where the whole body moves by 1 along the direction."""
-        full = np.zeros(body.basis.N)
+        full = np.zeros(body.nodes.size)
         full[body.nodes[max(AXES.find(self.along), 0)]] = 1.0
         return full
 
@@ -540,7 +543,7 @@ class PointForce(Record):
             shape = np.full(1, np.nan)
         if not np.isclose(shape.sum(), 1.0):
             raise InputError(f"at: the point {shown(self.at)} is not in the body")
-        full = np.zeros(body.basis.N)
+        full = np.zeros(body.nodes.size)
         full[body.nodes] = values[:, None] * shape
         return Contribution(loads=[(self.history, body.restrict(full))])
 
@@ -590,7 +593,7 @@ class PrescribedDisplacement(Record):
         """The values that are held; none if d is zero everywhere."""
         body.facets("on", self.on)
         place = body.place("on", self.on, nodal=True)
-        full = np.zeros(body.basis.N)
+        full = np.zeros(body.nodes.size)
         for dofs, datum in zip(
             body.nodes, DISPLACEMENT.parts(self.d, body.components), strict=True
         ):
@@ -781,15 +784,20 @@ class MaxwellBranch:
 
     def __post_init__(self) -> None:
         number("tau", self.tau, 0.0, strict=True)
-        self._spring()
+        self.spring()
 
-    def _spring(self) -> Elasticity:
+    def spring(self) -> Elasticity:
+        """The spring alone."""
         _, *moduli = vars(self).values()
         return Elasticity(*moduli)
 
+    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+        """Those of the spring."""
+        return self.spring().moduli(body, place)
+
     def contribute(self, body: Discretisation) -> Contribution:
         """Matrices of u and w; none if the moduli are zero everywhere."""
-        S = self._spring().contribute(body).B
+        S = self.spring().contribute(body).B
         if S is None:
             return Contribution()
         if (point := body.loose_point(S)) is not None:
@@ -833,6 +841,25 @@ def strains_of(body: Discretisation) -> Callable[[Any], list[Any]]:
         return [g[i, i] for i in range(d)] + [g[i, j] + g[j, i] for i, j in pairs]
 
     return strain
+
+
+def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_array:
+    """Rows of the deviators of strains at the points of a quadrature.
+
+    In an orthonormal basis of the deviators, the components of a point one after the other; in
+    plane stress with the e_zz that makes the stress of moduli lam and mu vanish.
+    """
+    basis, strains, values = place.basis, strains_of(body), []
+    for phi in basis.basis:
+        rows = strains(phi[0])
+        if body.components > 1:
+            xx, yy, *others = rows
+            zz = others.pop(0) if body.components == 3 else 0.0
+            if body.kind == "plane stress":
+                zz = -lam / (lam + 2 * mu) * (xx + yy)
+            rows = [xx - yy, (xx + yy - 2 * zz) / np.sqrt(3), *others]
+        values.append([np.broadcast_to(row / np.sqrt(2), basis.dx.shape) for row in rows])
+    return body.rows(basis, values)
 
 
 def _moduli(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[int, int], Any]:

@@ -264,7 +264,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
 
     Point data are displacement and velocity (of the step that ends there; of the first step at the
     start), cell data the number of the material in the summary's `materials`, 0 for none, and the
-    plastic strain where there is one.
+    stress and the plastic strain where there is one.
 
     Returns
     -------
@@ -285,14 +285,19 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         for k, members in enumerate(body.mesh.subdomains.values(), start=1):
             material[members] = k
         mesh.cell_data = {"material": [material]}
-    strain, folder = report.scene.plastic_strain(solution), folder / "vtu"
+    folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
     last, times = len(solution.steps), {}
-    for i in np.unique(np.linspace(0, last, MOST_VTU).round().astype(int)).tolist():
+    chosen = np.unique(np.linspace(0, last, MOST_VTU).round().astype(int)).tolist()
+    in_cells = {
+        name: values
+        for name in ("stress", "plastic_strain")
+        if (values := getattr(report.scene, name)(solution, solution.t[chosen])) is not None
+    }
+    for k, i in enumerate(chosen):
         fields = {"displacement": u[i], "velocity": velocity[max(i - 1, 0)]}
         mesh.point_data = {name: in_space(x) for name, x in fields.items()}
-        if strain is not None:
-            mesh.cell_data["plastic_strain"] = [strain[i]]
+        mesh.cell_data |= {name: [values[k]] for name, values in in_cells.items()}
         path = folder / f"step_{i:06d}.vtu"
         with io.replacing(path) as part:
             mesh.write(part, file_format="vtu", compression="zlib")

@@ -16,6 +16,7 @@ from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.effects import Foundation, YieldStress, released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
+from sweepopt.fem.stress import stress_laws
 from sweepopt.io import replacing, writable
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 Array = np.ndarray
-AUTOMATIC = ("displacement", "surface", "flow", "contact")
+AUTOMATIC = ("displacement", "surface", "flow", "stress", "contact")
 """Pictures of a scene that names none: those of them that fit."""
 
 
@@ -34,11 +35,13 @@ def refusal(scene: Scene, name: str) -> str:
     one = contact is not None and contact.unknown.ndim == 1
     along = "friction along a boundary", one and contact is not None and contact.on_curve
     flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
+    tells = bool(stress_laws(scene))
     plastic = any(part.rows.cells is not None for part in scene.yields)
     needs = {
         "displacement": ("a body in the plane or along a line", dimension < 3),
         "surface": ("a solid", dimension == 3),
         "flow": ("a section with a yield stress", dimension == 2 and flows),
+        "stress": ("a body in the plane or a solid whose strains tell it", dimension > 1 and tells),
         "yielding": ("a body in the plane with plasticity", dimension == 2 and plastic),
         "arrows": ("friction where two components slip", contact is not None and not one),
         "contact": along,
@@ -288,6 +291,7 @@ FIELDS = {
     "displacement": snapshots.displacement,
     "surface": snapshots.surface,
     "flow": snapshots.flow,
+    "stress": snapshots.stress,
     "yielding": snapshots.yielding,
     "arrows": snapshots.arrows,
 }

@@ -28,7 +28,7 @@ import skfem
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
-from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record, strains_of
+from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record, deviators
 from sweepopt.fem.fields import Array, Coefficient, Datum
 from sweepopt.fem.spaces import BODY, Discretisation, Place
 
@@ -95,7 +95,7 @@ class Plasticity(Record):
         at_points = _moduli(body, place, self.elasticity)
         lam, mu = map(np.ravel, at_points)
         _check_hardening(Hk, Hi, eta, mu)
-        strains = _strains(body, place, *at_points)
+        strains = deviators(body, place, *at_points)
         # the energy by this quadrature instead of another: B is a sum of squares
         uu = self.elasticity.stiffness(body, place) - self.elasticity.stiffness(body, exact)
         w, n = place.basis.dx.ravel(), body.dim
@@ -165,23 +165,3 @@ def _moduli(body: Discretisation, place: Place, elasticity: Elasticity) -> list[
     if mu is None:
         raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
     return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
-
-
-def _strains(body: Discretisation, place: Place, lam: Array, mu: Array) -> sp.csr_array:
-    """Rows of the deviators of strains at points.
-
-    In an orthonormal basis of the deviators, the components of a point one after the other.
-    """
-    basis, d, strains = place.basis, body.mesh.dim(), strains_of(body)
-    values = []
-    for phi in basis.basis:
-        rows = strains(phi[0])
-        if body.components > 1:
-            xx, yy, *others = rows
-            zz = others.pop(0) if d == 3 else 0.0
-            if body.kind == "plane stress":
-                zz = -lam / (lam + 2 * mu) * (xx + yy)
-            rows = [xx - yy, (xx + yy - 2 * zz) / np.sqrt(3), *others]
-        rows = [row / np.sqrt(2) for row in rows]
-        values.append([np.broadcast_to(row, basis.dx.shape) for row in rows])
-    return body.rows(basis, values)

@@ -29,6 +29,7 @@ from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
+from sweepopt.fem.stress import plastic_strain_of, stress_of
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path
 from sweepopt.loads import Constant, History, Separable, breakpoints
@@ -48,6 +49,7 @@ PICTURES = (
     "profiles",
     "arrows",
     "flow",
+    "stress",
     "yielding",
     "loop",
 )
@@ -83,6 +85,8 @@ class Scene(Displayed):
         Prescribed displacements phi(t) d, of all degrees of freedom.
     yields : tuple of Yield
         What makes C(t) more than a point; empty without friction and yield stresses.
+    internal : tuple of slice
+        The internal unknowns of each effect among all.
     changes : tuple of str
         What `read_scene` was told to change in the file.
     """
@@ -103,6 +107,7 @@ class Scene(Displayed):
     force: Callable[[float], Any] | None = None
     lifts: tuple[tuple[History, Array], ...] = ()
     yields: tuple[Yield, ...] = ()
+    internal: tuple[slice, ...] = ()
     changes: tuple[str, ...] = ()
 
     def _rows(self) -> Rows:
@@ -148,21 +153,21 @@ class Scene(Displayed):
         mu = np.diff(solution.t)
         return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
 
+    def stress(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
+        """Von Mises's stress in each cell, of antiplane shear the shear stress, shape (k, cells).
+
+        That of the mean deviator in the cell, by elasticity, viscosity, plastic strains and Maxwell
+        branches, at times t of the run, by default those of the solution. None where strains do not
+        tell it: with a yield stress or a tensor, and in plane stress with an eigenstrain.
+        """
+        return stress_of(self, solution, solution.t if t is None else np.atleast_1d(t))
+
     def plastic_strain(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells); None without p.
 
         At times t of the run, by default those of the solution.
         """
-        u = solution.u if t is None else solution(np.atleast_1d(t))
-        cells = self.discretisation.mesh.nelements
-        parts = [(one, at) for one in self.yields if (at := one.rows.cells) is not None]
-        strain = np.zeros((len(u), cells))
-        for one, at in parts:
-            E, block, weight = one.rows.E, one.rows.block, one.rows.weight
-            p = (E @ u.T).T.reshape(len(u), -1, block)[..., one.slopes is not None :]
-            share = weight / np.bincount(at, weight, cells)[at]
-            np.add.at(strain.T, at, np.sqrt(2 / 3) * (share * np.linalg.norm(p, axis=2)).T)
-        return strain if parts else None
+        return plastic_strain_of(self, solution.u if t is None else solution(np.atleast_1d(t)))
 
     def _full(self, u: Any, values: Callable[[History], Any]) -> Array:
         space = self.discretisation
@@ -223,8 +228,8 @@ class Scene(Displayed):
         path : str or Path
             A ``.gif``, or an ``.mp4``, which needs the program ffmpeg.
         picture : str
-            One of "displacement", "surface", "flow", "yielding" and "arrows"; by default the first
-            of the scene's pictures that is one of them, else the first that fits.
+            One of "displacement", "surface", "flow", "stress", "yielding" and "arrows"; by default
+            the first of the scene's pictures that is one of them, else the first that fits.
 
         Returns
         -------
@@ -372,10 +377,12 @@ def build(
     effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
-    size, fields = ends[-1], {"u": slice(0, space.dim)}
-    for label, start, end in zip(effects, ends, ends[1:], strict=False):
-        if end > start:
-            fields[label.removeprefix("effects.")] = slice(start, end)
+    size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
+    fields = {"u": slice(0, space.dim)} | {
+        label.removeprefix("effects."): one
+        for label, one in zip(effects, internal, strict=True)
+        if one.stop > one.start
+    }
     parts = _placed(space.dim, parts, size)
     A, B = total(parts, "A"), total(parts, "B")
     loads = [load for part in parts for load in part.loads]
@@ -384,6 +391,7 @@ def build(
     _check_held(space, A, B)
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, lifts) if lifts else []
+    vars(space).pop("basis", None)
     force = _force(loads, space.dim, size - space.dim)
     if isinstance(u0, Initial):
         with at_path("initial."):
@@ -405,6 +413,7 @@ def build(
         force=force,
         lifts=lifts,
         yields=yields,
+        internal=internal,
         **settings,
     )
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Mapping
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from subprocess import run
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,7 +72,7 @@ def animation(report: Report, field: At, path: Path) -> None:
     figure, panel = _page(report, shown, t[:1])
 
     def draw(i: int) -> None:
-        for artist in [*panel.collections, *panel.lines]:
+        for artist in [*panel.collections, *panel.lines, *panel.images]:
             artist.remove()
         _draw(report, shown, panel, t, i)
 
@@ -107,31 +113,74 @@ def displacement(report: Report, t: Array) -> Field:
 
 
 def surface(report: Report, t: Array) -> Field:
-    """The surface of a solid, seen from its contact, with the size of its displacement.
+    """The surface of a solid, with the size of its displacement."""
+    size = signed_lengths(report.scene.displacement(report.solution, t))
+    faces = size[:, report.scene.discretisation.triangles].mean(axis=2)
+    return _deformed(report, t, faces, SIZE, "length", "Greens")
+
+
+def stress(report: Report, t: Array) -> Field:
+    """The stress in the cells of a section, or in those at the surface of a solid."""
+    mesh, values = report.scene.discretisation.mesh, report.scene.stress(report.solution, t)
+    assert values is not None
+    name = "shear stress" if report.scene.discretisation.components == 1 else "von Mises stress"
+    if mesh.dim() == 2:
+        return _in_cells(report, values, name, "traction", "YlOrRd", {})
+    behind = mesh.f2t[0, mesh.boundary_facets()]
+    return _deformed(report, t, values[:, behind], name, "traction", "YlOrRd")
+
+
+def _deformed(
+    report: Report, t: Array, faces: Array, label: str, quantity: str, rising: str
+) -> Field:
+    """The surface of a solid, seen from its contact, with a value on each of its faces.
 
     The largest displacement is drawn as a tenth of the body's length; the bar of colours says how
-    many times as large that is.
+    many times as large that is. PyVista draws it, where it is there, else matplotlib.
     """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     body, contact = report.scene.discretisation, report.scene.contact
-    u = report.scene.displacement(report.solution, t)
-    size = signed_lengths(u)
-    factor = 0.1 * np.ptp(body.points, axis=0).max() / (size.max() or 1.0)
-    moved, look = body.points + factor * u, colours_of(size)
+    u, triangles = report.scene.displacement(report.solution, t), body.triangles
+    factor = 0.1 * np.ptp(body.points, axis=0).max() / (signed_lengths(u).max() or 1.0)
+    moved, look = body.points + factor * u, colours_of(faces, rising)
+    faces = np.tile(faces, len(triangles) // faces.shape[1])  # the parts of a P2 element
     below = contact is not None and contact.points[:, 2].mean() < body.points[:, 2].mean()
+    label = f"{label} (displacements drawn {factor:.2g} times as large)"
+    legend = states_of(report.slip)
+
+    def render(panel: Any, i: int) -> Any:
+        plotter = pyvista.Plotter(off_screen=True, window_size=(800, 600))
+        shape = pyvista.PolyData.from_regular_faces(moved[i], triangles)
+        how = {"clim": (0.0, look["vmax"]), "cmap": look["cmap"], "show_scalar_bar": False}
+        plotter.add_mesh(shape, scalars=faces[i], show_edges=True, lighting=False, **how)
+        if contact is not None:
+            spots, colours = moved[i, contact.node], _colours(report, t[i])
+            how = {"render_points_as_spheres": True, "point_size": 12, "lighting": False}
+            plotter.add_points(spots, scalars=colours, rgb=True, **how)
+        plotter.show_axes()
+        plotter.view_vector((0.5, -0.9, 0.6 - 1.2 * below), viewup=(0.0, 0.0, 1.0))
+        plotter.camera.zoom(1.2)
+        panel.imshow(plotter.screenshot(return_img=True))
+        panel.set_axis_off()
+        plotter.close()
+        return ScalarMappable(Normalize(0.0, look["vmax"]), look["cmap"])
+
+    if (pyvista := off_screen()) is not None:
+        return Field(render, np.zeros((1, 2)), label, quantity, legend, ())
 
     def draw(panel: Any, i: int) -> Any:
-        faces = Poly3DCollection(moved[i, body.triangles], ec="0.3", lw=0.2, cmap=look["cmap"])
-        faces.set(array=size[i, body.triangles].mean(axis=1), clim=(0.0, look["vmax"]))
-        panel.add_collection3d(faces)
+        artist = Poly3DCollection(moved[i, triangles], ec="0.3", lw=0.2, cmap=look["cmap"])
+        artist.set(array=faces[i], clim=(0.0, look["vmax"]))
+        panel.add_collection3d(artist)
         _mark(report, panel, t[i], moved[i], depthshade=False)
-        panel.view_init(elev=-30 if below else 30, azim=-60)
+        panel.view_init(elev=30 - 60 * below, azim=-60)
         panel.set_box_aspect(np.ptp(moved, axis=(0, 1)))
-        return faces
+        return artist
 
-    label = f"{SIZE}; drawn {factor:.2g} times as large"
-    return Field(draw, moved.reshape(-1, 3), label, "length", states_of(report.slip))
+    return Field(draw, moved.reshape(-1, 3), label, quantity, legend)
 
 
 def flow(report: Report, t: Array) -> Field:
@@ -159,16 +208,24 @@ def flow(report: Report, t: Array) -> Field:
 
 def yielding(report: Report, t: Array) -> Field:
     """Plastic strains of a body in the plane; grey where there is none yet, to show their front."""
-    body = report.scene.discretisation
-    strain = report.scene.plastic_strain(report.solution, t)
-    assert strain is not None
-    strain = np.tile(strain, len(body.triangles) // strain.shape[1])  # the parts of a P2 element
-    look = colours_of(strain, "plasma_r")
+    strain: Any = report.scene.plastic_strain(report.solution, t)
+    legend = {STICK: "elastic so far"}
+    return _in_cells(
+        report, np.ma.masked_equal(strain, 0.0), "plastic strain", "", "plasma_r", legend
+    )
+
+
+def _in_cells(
+    report: Report, values: Any, label: str, quantity: str, rising: str, legend: Mapping[str, str]
+) -> Field:
+    """Values in the cells of a body in the plane."""
+    body, look = report.scene.discretisation, colours_of(values, rising)
+    parts = len(body.triangles) // values.shape[1]  # of a P2 element
 
     def draw(panel: Any, i: int) -> Any:
-        return _fill(report, panel, facecolors=np.ma.masked_equal(strain[i], 0.0), **look)
+        return _fill(report, panel, facecolors=np.ma.concatenate(parts * [values[i]]), **look)
 
-    return Field(draw, body.points, "plastic strain", "", {STICK: "elastic so far"})
+    return Field(draw, body.points, label, quantity, legend)
 
 
 def arrows(report: Report, t: Array) -> Field:
@@ -243,8 +300,34 @@ def _fill(report: Report, panel: Any, *values: Array, **look: Any) -> Any:
 def _mark(report: Report, panel: Any, t: float, points: Array, **look: Any) -> None:
     """Nodes with friction in the colours of their states, with a casing against the field."""
     if (slip := report.slip) is not None:
-        colours = [STATE_COLOURS[k] for k in slip.state[_steps_at(report, t)].tolist()]
+        colours = _colours(report, t)
         panel.scatter(*points[slip.contact.node].T, s=24, c=colours, ec="white", zorder=2, **look)
+
+
+def _colours(report: Report, t: float) -> Array:
+    """Of the nodes with friction, by their states; shape (m, 3)."""
+    from matplotlib.colors import to_rgb
+
+    assert report.slip is not None
+    states = report.slip.state[_steps_at(report, t)].tolist()
+    return np.array([to_rgb(STATE_COLOURS[k]) for k in states])
+
+
+@cache
+def off_screen() -> Any:
+    """PyVista, if it is installed and draws without a window here; else None.
+
+    It is tried in another process, which ends where there is no library to draw with.
+    """
+    if sys.platform == "linux":  # not by a window system first
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    trial = "import pyvista; pyvista.Plotter(off_screen=True).screenshot(return_img=True)"
+    if (
+        find_spec("pyvista")
+        and not run([sys.executable, "-c", trial], capture_output=True).returncode
+    ):
+        return import_module("pyvista")
+    return None
 
 
 def _draw(report: Report, field: Field, panel: Any, t: Array, i: int) -> Any:

@@ -172,24 +172,27 @@ class Discretisation(Brief):
 
     @cached_property
     def scalar(self) -> skfem.CellBasis:
-        """The scikit-fem basis of one component, in the cells.
+        """The scikit-fem basis of one component, for its degrees of freedom."""
+        return skfem.CellBasis(self.mesh, ELEMENTS[self.element][self.mesh.dim() - 1], intorder=1)
 
-        Its quadrature has an order two above what constant coefficients on straight edges need.
-        """
-        element = ELEMENTS[self.element][self.mesh.dim() - 1]
-        return skfem.CellBasis(self.mesh, element, intorder=2 * element.maxdeg + 2)
+    @property
+    def _element(self) -> skfem.Element:
+        scalar = self.scalar.elem
+        return scalar if self.components == 1 else skfem.ElementVector(scalar)
 
     @cached_property
     def basis(self) -> skfem.CellBasis:
-        """The scikit-fem basis of all components."""
-        if self.components == 1:
-            return self.scalar
-        return self.scalar.with_element(skfem.ElementVector(self.scalar.elem))
+        """The scikit-fem basis of all components, in the cells.
+
+        Its quadrature has an order two above what constant coefficients on straight edges need.
+        Scenes drop it once they are assembled: of a solid of 107,855 unknowns it takes 1.9 GB.
+        """
+        return skfem.CellBasis(self.mesh, self._element, intorder=2 * self.scalar.elem.maxdeg + 2)
 
     @cached_property
     def nodes(self) -> Indices:
         """Degrees of freedom in `basis` of each component at each node, shape (components, N)."""
-        basis = self.basis
+        basis = self.scalar.with_element(self._element)
         dofs = basis.nodal_dofs, basis.edge_dofs, basis.facet_dofs, basis.interior_dofs
         return np.hstack([part for part in dofs if part.size])
 
@@ -239,7 +242,7 @@ class Discretisation(Brief):
             modes = [np.outer(axis, np.ones(len(x))) for axis in axes]
             for i, j in combinations(range(self.components), 2):
                 modes.append(np.outer(axes[i], x[:, j]) - np.outer(axes[j], x[:, i]))
-            full = np.zeros((self.basis.N, len(modes)))
+            full = np.zeros((self.nodes.size, len(modes)))
             full[self.nodes[:, nodes]] = np.moveaxis(np.array(modes), 0, -1)
             free = self.extension.T @ full
             gram = full.T @ full - free.T @ free + free.T @ (M @ free) / scale
@@ -334,7 +337,7 @@ class Discretisation(Brief):
         if values.shape[-1:] != (self.dim,):
             raise InputError(f"u must have {self.dim} entries in its last axis, got {values.shape}")
         full = (self.extension @ values.reshape(-1, self.dim).T).T
-        full = full.reshape(*values.shape[:-1], self.basis.N)
+        full = full.reshape(*values.shape[:-1], self.nodes.size)
         return full[..., self.nodes[0] if self.components == 1 else self.nodes.T]
 
     def restrict(self, x: Any) -> Any:
@@ -364,9 +367,8 @@ class Discretisation(Brief):
         times = self.refinements - coarse.refinements
         values = nested(coarse.mesh, coarse.scalar.elem, times, self.scalar.elem)
         if self.components > 1:
-            fine, old = (
-                sp.eye_array(one.basis.N, format="csr")[one.nodes.ravel()] for one in (self, coarse)
-            )
+            at = self.nodes.ravel(), coarse.nodes.ravel()
+            fine, old = (sp.eye_array(one.size, format="csr")[one] for one in at)
             values = fine.T @ sp.block_diag([values] * self.components) @ old
         return sp.csr_array(self.extension.T @ values @ coarse.extension)
 
@@ -378,7 +380,7 @@ class Discretisation(Brief):
         """
         if self.components > 1 and callable(function):
             function = list(function(self.points.T))
-        coefficient, full = Coefficient(name), np.zeros(self.basis.N)
+        coefficient, full = Coefficient(name), np.zeros(self.nodes.size)
         for dofs, datum in zip(
             self.nodes, coefficient.parts(function, self.components), strict=True
         ):
@@ -417,8 +419,8 @@ class Discretisation(Brief):
             With one that integrates squares of strains in cells, of a degree less than u: of P1
             elements the centroid.
         """
-        basis, inside = self.scalar if nodal else self.basis, self.mesh.subdomains or {}
-        element, cells = basis.elem, None
+        inside, cells = self.mesh.subdomains or {}, None
+        element, degree = self.scalar.elem if nodal else self._element, self.scalar.elem.maxdeg
         groups: dict[str, Indices] = dict(inside)
         if all(name in inside for name in on):
             cells = np.unique(np.concatenate([inside[name] for name in on]))
@@ -426,14 +428,16 @@ class Discretisation(Brief):
         elif tuple(on) != (BODY,) or BODY in (self.mesh.boundaries or {}):
             facets, groups = self.facets(what, on)
             rule = self.rule(self.mesh.dim() - 1) if nodal else None
-            order = 2 * self.scalar.elem.maxdeg + 2
+            order = 2 * degree + 2
             basis = skfem.FacetBasis(
                 self.mesh, element, facets=facets, intorder=order, quadrature=rule
             )
             return Place(basis, groups, self.facet_nodes(facets))
         nodes = self.scalar.element_dofs
-        if nodal or strains or cells is not None:
-            d, degree = self.mesh.dim(), self.scalar.elem.maxdeg
+        if not (nodal or strains) and cells is None:
+            basis = self.basis
+        else:
+            d = self.mesh.dim()
             rule, order = self.rule(d) if nodal else None, 2 * degree + 2
             if strains:
                 order = 2
