@@ -99,7 +99,7 @@ class Study:
             "tols": (number, 0.0, True),
         }
         lists = [each(name, getattr(self, name), *check) for name, check in checks.items()]
-        repeats = count("repeats", self.repeats)
+        lists.append((count("repeats", self.repeats),))
         for k, source in enumerate(lists[0]):
             if source.small and (any(self.refinements) or any(self.elements)):
                 raise InputError(
@@ -107,7 +107,7 @@ class Study:
                     "elements"
                 )
         return [
-            Cell(source._replace(refinements=refinements, element=element), *others, repeats)
+            Cell(source._replace(refinements=refinements, element=element), *others)
             for source, refinements, element, *others in product(*lists)
         ]
 

@@ -113,12 +113,12 @@ def _draw(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
 
 
 def _load(names: Names, random: Random, n: int, few: np.ndarray, edge: Any) -> np.ndarray:
-    signs, *sizes = entry_of(LOADS, names) or [[]]
-    if not signs or edge is None:
+    shares = entry_of(LOADS, names)
+    if not shares or edge is None:
         return 3 * random.normal(size=n)
-    beside = random.choice(signs, few.size)
-    if sizes:
-        beside *= between(random, *sizes, few.size)
+    beside = random.choice(shares[0], few.size)
+    if shares[1:]:
+        beside *= between(random, *shares[1:], few.size)
     return np.bincount(few, edge * (1 + beside), n)
 
 
