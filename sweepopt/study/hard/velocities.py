@@ -116,9 +116,11 @@ def _load(names: Names, random: Random, n: int, few: np.ndarray, edge: Any) -> n
     shares = entry_of(LOADS, names)
     if not shares or edge is None:
         return 3 * random.normal(size=n)
-    beside = random.choice(shares[0], few.size)
-    if shares[1:]:
-        beside *= between(random, *shares[1:], few.size)
+    signs, *sizes = shares
+    beside = random.choice(signs, few.size)
+    if sizes:
+        low, high = sizes
+        beside *= between(random, low, high, few.size)
     return np.bincount(few, edge * (1 + beside), n)
 
 
