@@ -55,12 +55,8 @@ x best   of those that solved all programs at that accuracy
 median, worst   relative certificates of the solver's own answers, not refined"""
 
 
-class Program(NamedTuple):
-    """A velocity program of a run."""
-
-    statement: VelocityProgram
-    q: np.ndarray
-    C: ConvexSet
+Program = tuple[VelocityProgram, np.ndarray, ConvexSet]
+"""A velocity program of a run, with its q and C."""
 
 
 class Trial(NamedTuple):
@@ -103,9 +99,10 @@ def compare(
     import pandas as pd
 
     programs = record(source, count("steps", steps))
-    progress(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
+    _, q, C = programs[0]
+    progress(f"{source.name}: {len(programs)} programs of {q.size} unknowns")
     parts = []
-    for setting, solver in solvers_for(programs[0].C):
+    for setting, solver in solvers_for(C):
         progress(f"{solver.name} {setting}")
         part = pd.DataFrame(trials(solver, programs))
         parts.append(part.assign(solver=solver.name, setting=setting, accuracy=ACCURACIES[setting]))
@@ -147,7 +144,7 @@ def record(source: Source, steps: int) -> list[Program]:
             answer = super().compile(program)
 
             def noted(q: np.ndarray, C: ConvexSet) -> Any:
-                programs.append(Program(program, q.copy(), C))
+                programs.append((program, q.copy(), C))
                 return answer(q, C)
 
             return noted

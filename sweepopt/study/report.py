@@ -217,10 +217,7 @@ def write_report(
         parts += _study_section(table)
         machines = table.machine.unique()
     if solutions:
-        parts += [
-            "<h2>Trajectories in their guaranteed bands</h2>",
-            _picture(trajectories(solutions)),
-        ]
+        parts += ["<h2>Trajectories in their guaranteed bands</h2>", _picture(solutions)]
     for name, rows in suites.items():
         if len(rows):
             parts += _suite_section(name, rows)
@@ -308,10 +305,9 @@ def _diagram(table: DataFrame, cost: str) -> str:
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
 
 
-def _picture(ax: Any) -> str:
-    """A figure as a part of the page."""
+def _picture(solutions: Mapping[str, Solution]) -> str:
     file = io.BytesIO()
-    ax.figure.savefig(file, format="svg")
+    trajectories(solutions).figure.savefig(file, format="svg")
     return f'<img src="data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.checks import choice, count, from_table, number
+from sweepopt.checks import at_path, choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
@@ -89,25 +89,26 @@ class Study:
 
     def cells(self) -> list[Cell]:
         """All combinations, the problem slowest; InputError if a problem's file is gone."""
-        lists = {
-            "problems": each("problems", self.problems, self._source),
-            "refinements": each("refinements", self.refinements, count, 0),
-            "elements": each("elements", self.elements, choice, ("", "P1", "P2")),
-            "schemes": each("schemes", self.schemes, choice, ("auto", *schemes.SCHEMES)),
-            "solvers": each("solvers", self.solvers, _solver),
-            "steps": each("steps", self.steps, count),
-            "tols": each("tols", self.tols, number, 0.0, True),
-            "repeats": (count("repeats", self.repeats),),
+        checks: dict[str, Any] = {
+            "problems": (self._source,),
+            "refinements": (count, 0),
+            "elements": (choice, ("", "P1", "P2")),
+            "schemes": (choice, ("auto", *schemes.SCHEMES)),
+            "solvers": (_solver,),
+            "steps": (count,),
+            "tols": (number, 0.0, True),
         }
-        for k, source in enumerate(lists["problems"]):
-            if source.small and (set(self.refinements), set(self.elements)) != ({0}, {""}):
+        lists = [each(name, getattr(self, name), *check) for name, check in checks.items()]
+        lists.append((count("repeats", self.repeats),))
+        for k, source in enumerate(lists[0]):
+            if source.small and (any(self.refinements) or any(self.elements)):
                 raise InputError(
                     f"problems[{k}]: {source.name} has no mesh; leave it out, or refinements and "
                     "elements"
                 )
         return [
             Cell(source._replace(refinements=refinements, element=element), *others)
-            for source, refinements, element, *others in product(*lists.values())
+            for source, refinements, element, *others in product(*lists)
         ]
 
     def reference(self, source: Source) -> Source:
@@ -125,10 +126,8 @@ class Study:
 
     def _source(self, name: str, value: Any) -> Source:
         text = _text(name, value)
-        try:
+        with at_path(f"{name}: "):
             return find_source(text, self.folder)
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from error
 
 
 def read_study(path: str | Path) -> Study:
@@ -231,7 +230,14 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
     with brought_by("study"):
         import pandas as pd
 
-    rows = {row.cell: row for row in _read_rows(Path(folder, ROWS))}
+    rows, path = {}, Path(folder, ROWS)
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        checksum, _, text = line.partition(b" ")
+        # lines that are damaged or have other columns are no rows
+        if checksum == b"%08x" % zlib.crc32(text):
+            with suppress(TypeError):
+                row = CellRow(**json.loads(text))
+                rows[row.cell] = row
     finished = [rows[cell.id] for cell in study.cells() if cell.id in rows]
     return pd.DataFrame(finished, columns=list(CellRow._fields))
 
@@ -247,15 +253,6 @@ def _append_row(path: Path, row: CellRow) -> None:
         file.write(f"\n{zlib.crc32(line.encode()):08x} {line}".encode())
         file.flush()
         os.fsync(file.fileno())
-
-
-def _read_rows(path: Path) -> Iterator[CellRow]:
-    """The rows; lines that are damaged or have other columns are none."""
-    for line in path.read_bytes().splitlines() if path.exists() else ():
-        checksum, _, text = line.partition(b" ")
-        if checksum == b"%08x" % zlib.crc32(text):
-            with suppress(TypeError):
-                yield CellRow(**json.loads(text))
 
 
 def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:

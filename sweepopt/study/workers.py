@@ -35,8 +35,8 @@ def machine() -> str:
     True
     """
     cpuinfo = Path("/proc/cpuinfo")
-    model = re.search(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
-    name = model[1] if model else platform.processor()
+    names = re.findall(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
+    name, *_ = *names, platform.processor()
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
     versions = {"python": platform.python_version(), **versions_of(PACKAGES)}
     packages = ", ".join(f"{package} {version}" for package, version in versions.items())
@@ -74,8 +74,7 @@ def processes(workers: int) -> Executor:
 
 def _end_with_parent() -> None:
     """A thread of a worker that waits for the end of the process that started it."""
-    parent = parent_process()
-    assert parent is not None
+    parent: Any = parent_process()
 
     def end() -> None:
         parent.join()

@@ -5,7 +5,7 @@ judged by exact velocities; trajectories, judged by exact ones; stiff bodies, on
 scheme is judged by the best of three.
 """
 
-from sweepopt.study.hard.exact import Exact, Program
+from sweepopt.study.hard.exact import Program
 from sweepopt.study.hard.stiff import StiffStudy
 from sweepopt.study.hard.suite import GOOD, Suite, each, suite_summary
 from sweepopt.study.hard.trajectories import TrajectoryStudy
@@ -18,4 +18,4 @@ SUITES: dict[str, type[Suite]] = {
 }
 """By the names of their tables in a study's file, which are those of the files of their rows."""
 
-__all__ = ["FAMILIES", "GOOD", "SUITES", "Exact", "Program", "each", "suite_summary"]
+__all__ = ["FAMILIES", "GOOD", "SUITES", "Program", "each", "suite_summary"]

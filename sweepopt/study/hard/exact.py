@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from decimal import Context, Decimal, localcontext
+from decimal import Decimal, localcontext
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +36,7 @@ ROUNDING = 16 * EPS
 @contextmanager
 def precise() -> Iterator[None]:
     """All that is computed within has 80 digits; also a decorator."""
-    with localcontext(Context(prec=DIGITS)):
+    with localcontext(prec=DIGITS):
         yield
 
 

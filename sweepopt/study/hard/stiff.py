@@ -30,13 +30,14 @@ SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 Body = tuple[Any, Any, ConvexSet, np.ndarray]
 """A and B, the set C(t) less the load, and two shapes of loads in columns."""
-BODIES = ("one mass", "chain", "mixed", "discs", "square")
+BODIES = {"one mass": 1, "chain": 7, "mixed": 7, "discs": 4, "square": 0}
+"""How many unknowns; of the square so many as its mesh has."""
 
 
 def _body(name: str, random: Random) -> Body:
     if name == "square":
         return _square(random)
-    discs, n = name == "discs", {"one mass": 1, "discs": 4}.get(name, 7)
+    discs, n = name == "discs", BODIES[name]
     A = B = np.eye(n)
     if n > 1:
         A = spectral(random, -6, 0, n) if name == "mixed" else chain(random, n)
@@ -111,7 +112,7 @@ def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> Sweeping
     A, B, C, shapes = _body(body, random)
     terms = [(LOADS[load](random), shape) for shape in shapes.T]
     u0 = np.zeros(len(shapes))
-    factor = 0.0 if mu_Lam == math.inf else SweepingProcess(A, B, C, u0).Lam / steps / mu_Lam
+    factor = SweepingProcess(A, B, C, u0).Lam / steps / mu_Lam
     return SweepingProcess(factor * A, B, Moving(C, Separable(terms)), u0)
 
 
@@ -136,7 +137,7 @@ class StiffStudy(Suite):
     by = ("body", "load", "mu_Lam", "scheme")
 
     seeds: Sequence[int] = (0,)
-    bodies: Sequence[str] = BODIES
+    bodies: Sequence[str] = tuple(BODIES)
     loads: Sequence[str] = tuple(LOADS)
     stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
     steps: Sequence[int] = (60,)

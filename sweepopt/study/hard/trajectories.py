@@ -105,12 +105,11 @@ class Case:
             return np.asarray(low ** (1 - x) * high**x)
 
         (self.mu,), (steps,) = draw("step", 1), draw("steps", 1)
-        self.t = self.mu * np.arange(int(steps) + 1)
+        self.t = self.mu * np.arange(round(steps) + 1)
         self.stiffness, A, self.g, load, period, self.offset = map(draw, DRAWN)
         self.mu_Lam, self.metric = float(self.stiffness.max()), A
         viscous = self.mu_Lam < inf
-        self.A = A if viscous else 0 * A
-        self.B = self.stiffness * A / self.mu if viscous else A
+        self.A, self.B = (A, self.stiffness * A / self.mu) if viscous else (0 * A, A)
         compliance = np.divide(1.0, self.B, out=0 * A, where=self.B > 0)
         self.center = compliance * self.offset
         self.scale: Any = Constant(1.0)

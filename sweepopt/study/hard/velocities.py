@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.io import read_toml
-from sweepopt.loads import Separable
+from sweepopt.loads import Constant, Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Moving, image
@@ -30,23 +30,7 @@ Names = Sequence[str]
 
 EMPTY = "a strip that is missing by 1e-9"
 
-# ---- loads, stiffness, histories --------------------------------------------------------------
-
-THRESHOLD = "each load is its friction bound, or up to 1e-14 beside it"
-WEAKLY = "loads beside their bounds by 1e-3 to 1e-13 of these"
-LOADS: dict[str, Any] = {
-    "any load": None,
-    "another load": None,
-    THRESHOLD: lambda random, count: 1 + random.choice([0, 0, 0, 1e-14, -1e-14], count),
-    WEAKLY: lambda random, count: (
-        1 + random.choice([-1.0, 1.0], count) * between(random, 1e-13, 1e-3, count)
-    ),
-    "five times the bounds": 5.0,
-    "half the bounds": 0.5,
-    "0.999 of the bounds": 0.999,
-    "exactly the bounds": 1.0,
-}
-"""Shares of the edge of the set, or how they are drawn; None is any load."""
+# ---- stiffness, histories ---------------------------------------------------------------------
 
 STIFFNESS: dict[str, Callable[[Random, np.ndarray], Any]] = {
     "no B": lambda random, A: None,
@@ -65,14 +49,9 @@ STIFFNESS: dict[str, Callable[[Random, np.ndarray], Any]] = {
 """B for a matrix A, or A and B in its place."""
 
 
-def constant(t: float) -> float:
-    """1 at all times."""
-    return 1.0
-
-
 LONG = "500 steps, loads that change their signs"
 HISTORIES: dict[str, tuple[Any, ...]] = {
-    "one step": (1.0, 1, constant),
+    "one step": (1.0, 1, Constant()),
     "four steps": (4.0, 4, np.sin),
     "a load that stays": (4.0, 4, lambda t: min(t, 1.0)),
     "a sine": (6.0, 12, np.sin),
@@ -80,7 +59,9 @@ HISTORIES: dict[str, tuple[Any, ...]] = {
     "steps of 10": (100.0, 10, np.sin),
     "a load that jumps from 1e6 to 1e-6 and back": (6.0, 12, lambda t: 1e6 ** ((-1) ** int(t))),
     "a load that rotates through zero": (
-        *(6.0, 12, lambda t: np.sin(t - 0.5) * np.cos(t)),
+        6.0,
+        12,
+        lambda t: np.sin(t - 0.5) * np.cos(t),
         lambda t: np.sin(t - 0.5) * np.sin(t),
     ),
     "a corner of C(t) sweeps past": (6.0, 30, np.cos, lambda t: np.sin(2 * t)),
@@ -91,7 +72,7 @@ HISTORIES: dict[str, tuple[Any, ...]] = {
 
 # ---- cases ------------------------------------------------------------------------------------
 
-MATRICES, CONTACTS, UNITS, FAMILIES = read_toml(Path(__file__).with_suffix(".toml")).values()
+MATRICES, CONTACTS, LOADS, UNITS, FAMILIES = read_toml(Path(__file__).with_suffix(".toml")).values()
 TABLES = (MATRICES, CONTACTS, LOADS, UNITS, STIFFNESS, HISTORIES)
 
 
@@ -119,7 +100,7 @@ def make(names: Names, random: Random) -> SweepingProcess:
     # a long hold starts at an equilibrium that is not 0
     u0 = random.normal(size=n) if LONG in names else np.zeros(n)
     if B is not None:
-        terms.append((constant, B @ u0))
+        terms.append((Constant(), B @ u0))
     C = part(force * units[few])
     if not np.array_equal(few, np.arange(n)):
         C = image(np.eye(n)[:, few], C)
@@ -133,9 +114,14 @@ def _draw(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
 
 def _load(names: Names, random: Random, n: int, few: np.ndarray, edge: Any) -> np.ndarray:
     shares = entry_of(LOADS, names)
-    if shares is None or edge is None:
+    if not shares or edge is None:
         return 3 * random.normal(size=n)
-    return np.bincount(few, edge * (shares(random, few.size) if callable(shares) else shares), n)
+    signs, *sizes = shares
+    beside = random.choice(signs, few.size)
+    if sizes:
+        low, high = sizes
+        beside *= between(random, low, high, few.size)
+    return np.bincount(few, edge * (1 + beside), n)
 
 
 DRAWN = (7, 11, 4, 7, 8)
@@ -149,7 +135,7 @@ def combination(random: Random) -> Names:
     if names[1:3] == ["a box", "another load"]:
         names[1] = "a box that names contacts twice"
     # what is at the threshold comes there and stays
-    history = "a load that stays" if names[2] in (THRESHOLD, WEAKLY) else "four steps"
+    history = "a load that stays" if LOADS[names[2]] else "four steps"
     return (*names, "one step" if names[4] == "no B" else history)
 
 
