@@ -357,6 +357,9 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """
     with path.open("rb") as stream:
         try:
+            if stream.read(2) != b"PK":
+                raise ValueError("it is no checkpoint; runs in .nc are for so.Solution.load")
+            stream.seek(0)
             with np.load(stream, allow_pickle=False) as file:
                 if any(one.compress_size != one.file_size for one in file.zip.infolist()):
                     raise ValueError("it is compressed, so nobody knows how large it is")

@@ -159,6 +159,8 @@ MISTAKES = [
     ("one pair", lambda: so.Separable((so.Sine(1.0, 2.0), [1.0])), r"terms\[0\] must be a pair", "list of p"),
     ("pair swapped", lambda: so.Separable([([1.0], so.Sine(1.0, 2.0))]), r"terms\[0\]\[0\] must be call",
         "history such as so.Sine before"),
+    ("plot into a file", lambda: run().plot("run.png"), "ax must be Axes", r"figure.savefig\(path\)"),
+    ("another scene's run", lambda: so.scene("square").plot(run()), "dim 1, the scene 72", "run of this scene"),
     ("rows nowhere", lambda: contributed(lambda body: so.fem.Contribution(yields=[so.fem.Yield(
         so.fem.Rows(sp.eye_array(body.dim, format="csr"), 1, np.ones(body.dim), "line"), np.ones(body.dim))])),
         r"yields\[0\].rows.where must be one of trace, nodes", "got 'line'"),
