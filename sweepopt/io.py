@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweepopt.errors import CheckpointError, DamagedFileError, InputError, shown
+from sweepopt.errors import CheckpointError, DamagedFileError, InputError, shown, suggestion
 
 if os.name == "posix":
     import fcntl
@@ -231,7 +231,7 @@ def _find(pattern: str, name: str, what: str) -> Path:
     known = {path.stem: path for path in _problems().glob(pattern)}
     if name not in known:
         names = ", ".join(sorted(known)) or "none"
-        raise InputError(f"{name!r} is neither {what}; there are: {names}")
+        raise InputError(f"{name!r} is neither {what}; there are: {names}{suggestion(name, known)}")
     return known[name]
 
 

@@ -457,13 +457,14 @@ class EvolutionVI(SweepingProcess):
     ----------
     A, B, u0
         As in SweepingProcess.
-    load : callable t -> (dim,), Separable, array_like or None
-        f; None is no load.
+    load : callable t -> (dim,), Separable, VectorTable, array_like or None
+        f; a vector is constant, None is no load.
     dissipation : ConvexSet or None
-        D with J = sigma(D, .): convex, positively homogeneous; Lipschitz when D is bounded.
-        None is J = 0.
+        D, the friction forces that are possible: ``Box(-g, g)`` for a friction bound g. J is its
+        support function, J(v) = g |v| there; None is J = 0.
     cone : ConvexSet or None
-        K, a closed convex cone; None is the whole space.
+        K, the velocities that are possible: ``Orthant(n)`` for u' >= 0. A closed convex cone; None
+        is the whole space.
     fields
         As in SweepingProcess.
 

@@ -175,8 +175,10 @@ class Moving(MovingSet):
     Parameters
     ----------
     shape : ConvexSet
-    center : callable t -> (dim,), array_like or None
-    scale : callable t -> float >= 0, float or None
+    center : callable t -> (dim,), Separable, VectorTable, array_like or None
+        Where the set is, such as a load; None is 0.
+    scale : callable t -> float >= 0, Table, float or None
+        How large it is, such as a friction bound that changes; None is 1.
 
     Raises
     ------
