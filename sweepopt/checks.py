@@ -56,6 +56,7 @@ def public(thing: Any) -> Any:
 def _checked(function: Any, owner: Any) -> Any:
     call, name, meant = signature(function), owner.__name__, vars(owner).get("meaning", {})
     known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
+    only = [key for key, one in call.parameters.items() if one.kind is one.KEYWORD_ONLY]
 
     @wraps(function)
     def checked(*args: Any, **named: Any) -> Any:
@@ -66,7 +67,8 @@ def _checked(function: Any, owner: Any) -> Any:
                 call.bind(*args, **named)
             except TypeError as error:
                 all_names = ", ".join(known)
-                fault = f"{name}: {error}; give by name {all_names}"
+                by_name = ", ".join(known if "missing" in str(error) else only) or all_names
+                fault = f"{name}: {error}; give by name {by_name}"
                 for unknown in (key for key in named if key not in known):
                     hint = meant.get(unknown) or suggestion(unknown, known)
                     fault = f"{name} has no argument {unknown}{hint or f'; there are: {all_names}'}"
@@ -237,7 +239,8 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
     """A float array of shape (dim,); a scalar counts as one entry."""
     array = floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
-        raise InputError(f"{name} must have one axis, got shape {array.shape}")
+        flat = "; pass its .ravel()" if array.size == max(array.shape) else ""
+        raise InputError(f"{name} must have one axis, got shape {array.shape}{flat}")
     if dim is not None and array.size != dim:
         raise InputError(f"{name} must have {dim} entries, got {array.size}")
     if array.size and blas.dnrm2(array) <= HUGE:  # as most are; much quicker than entry by entry
@@ -344,7 +347,8 @@ def bounded(name: str, value: Matrix, wanted: str, finite: bool = True) -> Matri
     entry, place = entries[bad][0], np.argwhere(bad)[0]
     if sp.issparse(value):
         place = np.transpose(sp.coo_array(value).coords)[place[0]]
-    label = f"{name}[{', '.join(map(str, place))}]" if len(place) else name
+    at = f"[{', '.join(map(str, place))}]" if len(place) else ""
+    label = f"entry {at} of {name}" if at and " " in name else name + at
     if not math.isfinite(entry):
         raise InputError(f"{label} is {entry}; give {wanted}")
     raise InputError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from inspect import isroutine, signature
-from textwrap import fill
+from textwrap import fill, shorten
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,9 @@ def brief(value: Any) -> str:
     if hasattr(value, "nnz"):
         return f"sparse {value.shape}"
     if not isinstance(value, np.ndarray):
-        return " ".join(repr(value).split())[:99]
+        return shorten(repr(value), 99, placeholder=" ...")
+    if value.size == 1:
+        return repr(value.item())
     if value.size <= 4 or not np.issubdtype(value.dtype, np.number):
         return np.array2string(value, precision=5, separator=", ", threshold=5).replace("\n", "")
     return f"{value.shape} in [{value.min():.5g}, {value.max():.5g}]"

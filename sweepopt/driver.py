@@ -88,13 +88,14 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
         or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
-        "auto" (sdirk2 where mu Lam <= 2 for the longest step, else sdirk32, in parts where a step
-        contains breakpoints of a load that is data, unless they are too many; with Adaptive
-        midpoint, or sdirk2 when A = 0; the plan says which one and why), or by name, on the steps
-        as they are: "catching-up", "implicit-euler",
-        "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where
-        mu Lam > 2 and much stops); "exact" for polyhedra and loads as data (`Separable`): closed
-        forms between switches that are located, in `Solution.exact` also between the nodes.
+        "auto": sdirk2 where step * Lam <= 2 for the longest step, with `SweepingProcess.Lam` the
+        largest eigenvalue of A^-1 B, else sdirk32; in parts where a step contains breakpoints of a
+        load that is data, unless they are too many; with Adaptive midpoint, or sdirk2 when A = 0.
+        The plan says which one and why. By name, on the steps as they are: "catching-up",
+        "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs
+        a step, 7 where step * Lam > 2 and much stops); "exact" for polyhedra and loads as data
+        (`Separable`): closed forms between switches that are located, in `Solution.exact` also
+        between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy:NAME" for any that cvxpy knows, such as
         "cvxpy:scs", or an object with settings: ``OSQP(tol=1e-10)``.
@@ -136,10 +137,10 @@ def solve(
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". So do
-        schemes by name, but with Adaptive: midpoint and trapezoid that ring (mu Lam > 10/3 or
+        What catching-up does when step * Lam > 2; between 1 and 2 it warns unless "ignore". So do
+        schemes by name, but with Adaptive: midpoint and trapezoid that ring (step * Lam > 10/3 or
         A = 0, while C(t) moves) and, where B u0 is outside of C(0), midpoint, trapezoid
-        (mu Lam > 2) and sdirk2 (mu Lam > 1 + sqrt 2) that can pass the true rest.
+        (step * Lam > 2) and sdirk2 (step * Lam > 1 + sqrt 2) that can pass the true rest.
 
     Returns
     -------
@@ -170,8 +171,8 @@ def solve(
     A body that sticks until the load 1.5 t reaches the friction bound 1:
 
     >>> import sweepopt as so
-    >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
-    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> C = so.Moving(so.Box(-1, 1), center=lambda t: 1.5 * t)
+    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
     >>> sol = so.solve(process, t_end=5.0, steps=200)
     >>> sol.success, float(sol(0.5)[0]), round(float(sol(5.0)[0]), 3)
     (True, 0.0, 3.063)
@@ -237,8 +238,8 @@ def resume(
     --------
     >>> import tempfile, pathlib
     >>> import sweepopt as so
-    >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
-    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> C = so.Moving(so.Box(-1, 1), center=lambda t: 1.5 * t)
+    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     where = so.Checkpoint(pathlib.Path(folder) / "run.npz", steps=50)
     ...     stop = lambda step: step.step == 120

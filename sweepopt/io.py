@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweepopt.errors import CheckpointError, DamagedFileError, InputError, shown
+from sweepopt.errors import CheckpointError, DamagedFileError, InputError, shown, suggestion
 
 if os.name == "posix":
     import fcntl
@@ -231,7 +231,7 @@ def _find(pattern: str, name: str, what: str) -> Path:
     known = {path.stem: path for path in _problems().glob(pattern)}
     if name not in known:
         names = ", ".join(sorted(known)) or "none"
-        raise InputError(f"{name!r} is neither {what}; there are: {names}")
+        raise InputError(f"{name!r} is neither {what}; there are: {names}{suggestion(name, known)}")
     return known[name]
 
 
@@ -357,6 +357,9 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """
     with path.open("rb") as stream:
         try:
+            if stream.read(2) != b"PK":
+                raise ValueError("it is no checkpoint; runs in .nc are for so.Solution.load")
+            stream.seek(0)
             with np.load(stream, allow_pickle=False) as file:
                 if any(one.compress_size != one.file_size for one in file.zip.infolist()):
                     raise ValueError("it is compressed, so nobody knows how large it is")

@@ -14,7 +14,7 @@ import numpy as np
 
 from sweepopt.checks import choice
 from sweepopt.display import COLOURS
-from sweepopt.errors import InputError, brought_by
+from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.io import replacing, writable
 from sweepopt.problem import SweepingProcess
 
@@ -53,6 +53,11 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
         That of u.
     """
     if ax is not None:
+        if not hasattr(ax, "plot"):
+            raise InputError(
+                f"ax must be Axes of matplotlib, got {shown(ax)}; a file is written by "
+                "sol.plot().figure.savefig(path)"
+            )
         return _components(solution, ax)
     with brought_by("plot"):
         import matplotlib.pyplot as pyplot

@@ -9,7 +9,7 @@ from sweepopt.errors import Status
 STEPS = (50, 100, 200, 400)
 SCHEMES = {"catching-up": 1, "implicit-euler": 1, "midpoint": 2}
 NASTY = "a step missed tol </script><script>window.hacked = true</script> & 'more' \u2028 \"text\""
-WARNED = Status.SUCCESS.value + " StabilityWarning: mu Lam = 1.2"
+WARNED = Status.SUCCESS.value + " StabilityWarning: step * Lam = 1.2"
 
 
 def study_table():
@@ -58,7 +58,7 @@ def cell(problem, scheme, solver, steps):
     if problem == "block" and solver == "osqp" and steps == 400:
         row |= nothing | {"status": "INEXACT", "message": NASTY, "steps_done": 17}
     if problem == "pipe" and scheme == "catching-up" and steps == 50:
-        text = "mu Lam = 2.4 > 2: take more steps"
+        text = "step * Lam = 2.4 > 2: take more steps"
         row |= nothing | {"status": "UnstableStepError", "message": text, "steps_done": 0}
         row |= {"solver_calls": nan, "wall": nan, "cpu": nan, "bound": inf}
     if problem == "pipe" and scheme == "midpoint" and steps == 400:

@@ -390,6 +390,12 @@ def test_no_pickle_and_no_other_file_is_read(record, tmp_path, monkeypatch):
         so.resume(path, body())
 
 
+def test_a_solution_is_no_checkpoint_and_the_error_says_what_reads_it(tmp_path):
+    so.solve(body(), t_end=0.1, steps=2, save=str(tmp_path / "run.nc"))
+    with pytest.raises(so.CheckpointError, match=r"no checkpoint; .* so\.Solution\.load"):
+        so.resume(tmp_path / "run.nc", body())
+
+
 def test_a_file_cannot_ask_for_more_memory_than_it_has_bytes(tmp_path):
     path = tmp_path / "run.npz"
     killed(path)

@@ -263,7 +263,7 @@ def test_an_unstable_step_is_refused_with_advice_that_the_command_line_can_follo
     scene.write_text(SCENE + "[effects.elasticity]\nkappa = 90.0\n")
     assert run("--scheme", "catching-up") == 2
     shown = capsys.readouterr().err
-    assert "'catching-up' amplifies errors: mu Lam = " in shown
+    assert "'catching-up' amplifies errors: step * Lam = " in shown
     assert shown.endswith(
         "which needs no such step and never overshoots; use --steps or --scheme\n"
     )

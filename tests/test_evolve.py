@@ -115,8 +115,8 @@ def test_auto_is_sdirk2_or_sdirk32_by_mu_lam_and_the_plan_says_why():
 
     for process in (slider(), data):  # Lam = 4
         for how in ({"t_end": 1.0, "steps": 5}, {"steps": [0.0, 0.25, 0.75]}):
-            assert plan(process, **how) == "sdirk2 (order 2): mu Lam is at most 2"
-        why = "sdirk32 (order 2): mu Lam is above 2"
+            assert plan(process, **how) == "sdirk2 (order 2): step * Lam is at most 2"
+        why = "sdirk32 (order 2): step * Lam is above 2"
         for how in ({"t_end": 3.0, "steps": 5}, {"steps": [0.0, 0.1, 0.7]}):
             assert plan(process, **how) == why
     assert plan(case("M16").process, t_end=1.0, steps=5) == "sdirk32 (order 2): A is singular"
@@ -260,7 +260,7 @@ def test_a_step_that_overshoots_is_warned_of(scheme, mu, reached):
     sol, said = overshoots(far_outside(), scheme=scheme, **how)
     assert sol.u[-1, 0] == pytest.approx(reached, abs=0.01)
     assert len(said) == 1
-    assert f"{scheme!r} can overshoot into a wrong stuck state: mu Lam = {mu:.3g}" in said[0]
+    assert f"{scheme!r} can overshoot into a wrong stuck state: step * Lam = {mu:.3g}" in said[0]
     assert "take scheme='auto' or implicit-euler" in said[0]
     assert not overshoots(far_outside(), scheme=scheme, on_unstable="ignore", **how)[1]
     for right in ("implicit-euler", "sdirk32", "auto"):
@@ -307,9 +307,9 @@ def test_a_scheme_by_name_that_rings_warns_once_where_something_sticks_and_moves
 
     moving = so.Moving(so.Box([-1], [1]), load)
     (words,) = said(moving)
-    assert f"scheme {scheme!r} rings: mu Lam = 100" in words
+    assert f"scheme {scheme!r} rings: step * Lam = 100" in words
     assert "take scheme='auto' or implicit-euler" in words
-    assert len(said(moving, 0.029)) == 1  # mu Lam = 3.4: R = -0.27, below -FADES
+    assert len(said(moving, 0.029)) == 1  # step * Lam = 3.4: R = -0.27, below -FADES
     assert not said(moving, 0.035)  # 2.9, -0.18
     assert not said(moving, on_unstable="ignore")
     assert not said(so.Box([-1], [1]))

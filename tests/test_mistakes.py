@@ -55,7 +55,7 @@ MISTAKES = [
     # the arguments of other libraries
     ("dt", lambda: run(dt=0.1), "argument dt", r"steps=round\(t_end / dt\)"),
     ("t_span", lambda: run(t_span=(0, 1)), "argument t_span", "give t_end"),
-    ("t_span by place", lambda: so.solve(pulled(), (0, 1)), "solve: too many", "by name process, t_end"),
+    ("t_span by place", lambda: so.solve(pulled(), (0, 1)), "solve: too many", "give by name t_end, steps, "),
     ("t_span as t_end", lambda: run(t_end=(0, 1)), "t_end must be one number", "steps to start els"),
     ("method", lambda: run(method="BDF"), "argument method", "give scheme"),
     ("rtol", lambda: run(rtol=1e-3), "argument rtol", "tol, of each step's .* or error"),
@@ -136,6 +136,33 @@ MISTAKES = [
     ("save off the grid", lambda: run(save=[0.333]), "save asks for t = 0.333", "choose steps so that"),
     ("loose body", lambda: scene('[effects.viscosity]\neta = 1.0\n', "{ sizes = [1.0], cells = [2] }"),
         "clamped", "clamp"),
+    # those of a second trial
+    ("a column", lambda: pulled(u0=np.zeros((1, 1))), "u0 must have one axis", r"pass its .ravel\(\)"),
+    ("a row a time", lambda: so.EvolutionVI(0.5, 2.0, load=np.zeros((9, 1)), u0=0), "load must be a f",
+        r"so.VectorTable\(times, rows\)"),
+    ("infinite load", lambda: run(so.EvolutionVI(0.5, 2.0, load=lambda t: [np.inf], u0=0)),
+        r"entry \[0\] of load\(t\) at t = 0 is inf", "give finite numbers"),
+    ("friction of a vi", lambda: so.EvolutionVI(0.5, 2.0, friction=0.3, u0=0), "argument friction", "-g, g"),
+    ("a number as set", lambda: so.EvolutionVI(0.5, 2.0, dissipation=0.3, u0=0), "got 0.3", r"so.Box\(-g, g\)"),
+    ("a set in time", lambda: so.EvolutionVI(0.5, 2.0, dissipation=lambda t: BOX, u0=0),
+        "dissipation must be a set", "take SweepingProcess"),
+    ("a bounded cone", lambda: so.EvolutionVI(0.5, 2.0, cone=BOX, u0=0), "^cone: Box is not a cone", "cones"),
+    ("bounds swapped", lambda: so.Box(1, -1), "lower.0. = 1, upper.0. = -1", r"Box\(-g, g\) with g >= 0"),
+    ("a function moved", lambda: so.Moving(lambda t: BOX), "shape must be a set", r"so.MovingSet\(func"),
+    ("a list of sets", lambda: so.product([BOX, BOX]), "product", r"product\(\*sets\)"),
+    ("transposed rows", lambda: so.Polyhedron(np.ones((2, 3)), np.ones(3)), "h, one for each row of G", "2 e"),
+    ("step for steps", lambda: run(steps=0.01), "steps must be", r"give round\(t_end / dt\)"),
+    ("Adaptive as scheme", lambda: run(scheme=so.Adaptive(1e-3)), "scheme Adaptive", "goes into steps"),
+    ("a solver of cvxpy", lambda: run(solver="scs"), "solver 'scs' is not known", "such as cvxpy:scs"),
+    ("capitals", lambda: run(solver="CLARABEL"), "solver 'CLARABEL'", r"did you mean clarabel\?"),
+    ("one pair", lambda: so.Separable((so.Sine(1.0, 2.0), [1.0])), r"terms\[0\] must be a pair", "list of p"),
+    ("pair swapped", lambda: so.Separable([([1.0], so.Sine(1.0, 2.0))]), r"terms\[0\]\[0\] must be call",
+        "history such as so.Sine before"),
+    ("plot into a file", lambda: run().plot("run.png"), "ax must be Axes", r"figure.savefig\(path\)"),
+    ("another scene's run", lambda: so.scene("square").plot(run()), "dim 1, the scene 72", "run of this scene"),
+    ("rows nowhere", lambda: contributed(lambda body: so.fem.Contribution(yields=[so.fem.Yield(
+        so.fem.Rows(sp.eye_array(body.dim, format="csr"), 1, np.ones(body.dim), "line"), np.ones(body.dim))])),
+        r"yields\[0\].rows.where must be one of trace, nodes", "got 'line'"),
 ]  # fmt: skip
 
 

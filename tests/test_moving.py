@@ -142,7 +142,10 @@ MALFORMED = [
         lambda: so.Moving(BALL, lambda t: [t]).at(1.0),
         r"center\(t\) at t = 1 must have 2 entries, got 1",
     ),
-    (lambda: so.Moving(BALL, lambda t: [0, np.nan]).at(1.0), r"center\(t\) at t = 1\[1\] is nan"),
+    (
+        lambda: so.Moving(BALL, lambda t: [0, np.nan]).at(1.0),
+        r"entry \[1\] of center\(t\) at t = 1 is nan",
+    ),
     (lambda: so.Moving(BALL, scale=-1.0), "scale must be >= 0, got -1"),
     (
         lambda: so.Moving(BALL, scale=lambda t: 1 - t).at(3.0),
@@ -152,7 +155,7 @@ MALFORMED = [
     (lambda: so.Moving(BALL, scale=lambda t: t).scale_at(np.inf), "t is inf"),
     (
         lambda: so.Polyhedron(G, lambda t: [1.0] * (5 if t < 1 else 4)).at(2.0),
-        r"C\(t\) at t = 2: h must have 5 entries, got 4",
+        r"C\(t\) at t = 2: h, one for each row of G, must have 5 entries, got 4",
     ),
     (
         lambda: so.Polyhedron(G, lambda t: [t, 1, 1, 1, np.inf if t else 1]).at(2.0),
@@ -302,7 +305,7 @@ def test_what_a_set_adds_to_the_rate_counts_for_the_step_of_the_explicit_scheme(
         process = so.SweepingProcess([[1.0]], None, C, [0.0])
         return so.solve(process, t_end=2.0, steps=steps, scheme="catching-up")
 
-    with pytest.raises(so.UnstableStepError, match=r"mu Lam = 5; take mu <= 0\.1"):
+    with pytest.raises(so.UnstableStepError, match=r"step \* Lam = 5; take steps <= 0\.1"):
         run(4)
     assert run(20).success
 

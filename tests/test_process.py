@@ -448,12 +448,16 @@ RUN = so.solve(PLAIN, t_end=2.0, steps=20, scheme="midpoint", save=4)
 SHOWN = {
     "Box(dim 3, lower=[-1., -1., -1.], upper=[1., 1., 1.])": BOX,
     "Moving(dim 3, shape=Box(dim 3, lower=[-1., -1., -1.], upper": PLAIN.C,
-    "StateDependent(dim 1, at=a function, lipschitz=[[0.5]])": so.StateDependent(
+    "StateDependent(dim 1, at=a function, lipschitz=0.5)": so.StateDependent(
         lambda t, u: so.Box(t - 1, t + 1), 0.5
     ),
     "Ellipsoid(dim 2, center=[0., 0.]": so.Ellipsoid([0, 0], np.eye(2)),
     "SweepingProcess     dim 3, dense": PLAIN,
     "EvolutionVI": so.EvolutionVI(np.eye(3), None, dissipation=BOX, u0=np.zeros(3)),
+    "B                   2.0": so.SweepingProcess(0.5, 2.0, so.Box(-1, 1), u0=0.0),
+    "dissipation         Box(dim 1, lower=-1.0, upper=1.0)": so.EvolutionVI(
+        0.5, 2.0, dissipation=so.Box(-1, 1), u0=0.0
+    ),
     "plates <1 & 2>": TITLED,
     "20, 5 of them kept": RUN,
     "full: a program for all unknowns": RUN.plan,
@@ -461,7 +465,7 @@ SHOWN = {
     "Contact(unknown=": TITLED.contact,
     "Discretisation(dim 6, mesh=<skfem": TITLED.discretisation,
     "StepProgram(problem=Problem(": RUN.step_program(0),
-    "center=Separable(1 terms": so.Moving(BOX, so.Separable([(so.Sine(3, 4), [1, 2, 3])])),
+    "center=Separable(dim 3, 1": so.Moving(BOX, so.Separable([(so.Sine(3, 4), [1, 2, 3])])),
 }
 
 

@@ -608,7 +608,7 @@ MALFORMED = [
     (lambda: so.HalfSpace([1], lambda t: t), "offset must be"),
     (lambda: so.Polyhedron(EYE, [1, INF]), r"h\[1\] is inf; leave out"),
     (lambda: so.Polyhedron([[1, NAN]], [1]), r"G\[0, 1\] is nan"),
-    (lambda: so.Polyhedron(EYE, [1]), "h must have 2 entries"),
+    (lambda: so.Polyhedron(EYE, [1]), "h, one for each row of G, must have 2 entries"),
     (lambda: so.Polyhedron([1, 2], [1]), "G must have two axes"),
     (lambda: so.Polytope(np.zeros((0, 2))), "vertices is empty"),
     (lambda: so.Polytope([[0, NAN]]), r"vertices\[0, 1\] is nan"),

@@ -84,3 +84,7 @@ __all__ = [
 
 for name in __all__:
     globals()[name] = public(globals()[name])
+
+
+def __dir__() -> list[str]:
+    return __all__

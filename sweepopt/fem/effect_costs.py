@@ -129,7 +129,7 @@ def _cost(name: str, scene: Scene, steps: int) -> EffectCost:
     solution = scene.solve(t_end=scene.t_end * taken / scene.steps, steps=taken)
     plan, stats, process = solution.plan, solution.stats, solution.process
     linear = plan.path == "linear"
-    nonzeros = [0 if M is None else M.count_nonzero() for M in (process.A, process.B)]
+    nonzeros = [0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B)]
     return EffectCost(
         scene=name,
         unknowns=plan.unknowns,

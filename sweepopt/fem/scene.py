@@ -542,7 +542,7 @@ def _checked(part: Any, dim: int) -> Contribution:
                 part = replace(part, **{name: sp.csc_array(M)})
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
-            raise InputError(f"{name} must be a list, got {shown(getattr(part, name))}")
+            raise InputError(f"{name} must be a list, [...], got {shown(getattr(part, name))}")
     loads = [
         load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
         for load in part.loads
@@ -556,6 +556,9 @@ def _checked(part: Any, dim: int) -> Contribution:
         if not isinstance(one, Yield):
             raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
         fits(f"yields[{k}].rows.E", matrix(f"yields[{k}].rows.E", one.rows.E).shape[1])
+        choice(
+            f"yields[{k}].rows.where", one.rows.where, ("trace", "nodes", "gradient", "internal")
+        )
     return replace(part, loads=loads)
 
 

@@ -86,8 +86,8 @@ class Adaptive:
     Examples
     --------
     >>> import sweepopt as so
-    >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
-    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> C = so.Moving(so.Box(-1, 1), center=lambda t: 1.5 * t)
+    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
     >>> sol = so.solve(process, t_end=5.0, steps=so.Adaptive(1e-4))
     >>> sol.passes[-1].error < 1e-4, round(float(sol(5.0)[0]), 3)
     (True, 3.063)

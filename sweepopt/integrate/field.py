@@ -60,8 +60,8 @@ def velocity_field(
     --------
     >>> import sweepopt as so
     >>> from scipy.integrate import solve_ivp
-    >>> C = so.Moving(so.Box([-1], [1]), so.Separable([(so.Polynomial([0.0, 1.5]), [1.0])]))
-    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> C = so.Moving(so.Box(-1, 1), so.Separable([(so.Polynomial([0.0, 1.5]), 1.0)]))
+    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
     >>> velocity = so.velocity_field(process)
     >>> velocity(0.5, [0.0]), velocity(1.0, [0.0])
     (array([0.]), array([1.]))

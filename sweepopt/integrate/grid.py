@@ -46,7 +46,11 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
         )
     end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
     if axes(steps) == 0:
-        n = count("steps", steps)
+        try:
+            n = count("steps", steps)
+        except InputError as error:
+            hint = "for steps of length dt give round(t_end / dt), or the times themselves"
+            raise InputError(f"{error}; {hint}") from None
         if n > MOST:
             raise InputError(f"steps is {shown(n)}, more than {MOST:.0e}; run it in parts")
         if end is None:
@@ -145,7 +149,7 @@ def check_stability(
     if scheme.euler_steps or not plan.solvers or not (outside or moves):
         return
     if rings(process, scheme, mu, 0.0 if outside else FADES):
-        rate = f"mu Lam = {mu * process.Lam:.3g}" if process.coercive else "A is singular"
+        rate = f"step * Lam = {mu * process.Lam:.3g}" if process.coercive else "A is singular"
         effect = "can overshoot into a wrong stuck state" if outside else "rings"
         warn(
             f"scheme {scheme.name!r} {effect}: {rate}, and from {RESOLVED:g} on its errors change "
@@ -188,9 +192,9 @@ def _check_explicit(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
     number_ = mu * (process.Lam + process.state_rate)
     if number_ <= 1:
         return
-    shorter = "take" if math.isinf(number_) else f"take mu <= {mu / number_:.3g}, or"
+    shorter = "take" if math.isinf(number_) else f"take steps <= {mu / number_:.3g}, or"
     remedy = (
-        f"mu Lam = {number_:.3g}; {shorter} implicit-euler, which needs no such step and never "
+        f"step * Lam = {number_:.3g}; {shorter} implicit-euler, which needs no such step and never "
         "overshoots"
     )
     if number_ > 2 and on_unstable == "raise":

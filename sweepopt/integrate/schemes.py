@@ -152,9 +152,9 @@ def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.
 def automatic(process: SweepingProcess, mu: float) -> Scheme:
     """The scheme for steps of at most mu, with the reason: sdirk2 while mu Lam <= 2, or sdirk32."""
     if not is_stiff(process, mu):
-        return replace(SCHEMES["sdirk2"], reason="mu Lam is at most 2")
+        return replace(SCHEMES["sdirk2"], reason="step * Lam is at most 2")
     # Lam itself takes up to 19 factorisations, in pairs: 1.6 GB and 50 s of 107,855 unknowns
-    reason = "mu Lam is above 2" if process.coercive else "A is singular"
+    reason = "step * Lam is above 2" if process.coercive else "A is singular"
     return replace(SCHEMES["sdirk32"], reason=reason)
 
 
@@ -163,7 +163,8 @@ def choose(name: str, coercive: bool) -> Scheme:
     known = {"auto": SCHEMES["midpoint" if coercive else "sdirk2"], **SCHEMES}
     if not isinstance(name, str) or name not in known:
         names = ", ".join(known)
-        raise InputError(f"scheme {shown(name)} is not known; use {names}{suggestion(name, known)}")
+        hint = suggestion(name, known) if isinstance(name, str) else "; Adaptive goes into steps"
+        raise InputError(f"scheme {shown(name)} is not known; use {names}{hint}")
     scheme = known[name]
     if not coercive and not scheme.implicit:
         raise InputError(

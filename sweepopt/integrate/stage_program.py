@@ -55,8 +55,8 @@ def step_program(
     Examples
     --------
     >>> import sweepopt as so
-    >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
-    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> C = so.Moving(so.Box(-1, 1), center=lambda t: 1.5 * t)
+    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
     >>> program = so.step_program(process, t=0.9, u=[0.0], mu=0.1)
     >>> print(program)
     minimize 0.5 ... QuadForm(z, psd_wrap(M)) + Bu @ z + g @ abs(z) + -...f @ z...

@@ -55,9 +55,14 @@ class Separable:
             try:
                 history, shape = pair
             except (TypeError, ValueError):
-                raise InputError(f"terms[{k}] must be a pair (phi, f), got {shown(pair)}") from None
+                raise InputError(
+                    f"terms[{k}] must be a pair (phi, f), got {shown(pair)}; give a list of pairs"
+                ) from None
             if not callable(history):
-                raise InputError(f"terms[{k}][0] must be callable, got {shown(history)}")
+                raise InputError(
+                    f"terms[{k}][0] must be callable, a history such as so.Sine before its "
+                    f"direction, got {shown(history)}"
+                )
             columns.append(read_only(f"terms[{k}][1]", shape))
             if columns[k].size != columns[0].size:
                 raise InputError(
@@ -128,4 +133,5 @@ class Separable:
         return breakpoints((history for history, _ in self.terms), a, b)
 
     def __repr__(self) -> str:
-        return f"Separable({len(self.terms)} terms, dim {self.dim})"
+        terms = len(self.terms)
+        return f"Separable(dim {self.dim}, {terms} term{'s'[: terms - 1]})"

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, agree, meaning, symmetric, vector
+from sweepopt.checks import Matrix, agree, at_path, axes, meaning, symmetric, vector
 from sweepopt.display import Displayed, Rows, brief
 from sweepopt.errors import (
     IndefiniteError,
@@ -114,6 +114,7 @@ class SweepingProcess(Displayed):
     0.5
     """
 
+    _stated_by: tuple[str, ...] = ("C",)
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
 
     def __init__(
@@ -162,8 +163,11 @@ class SweepingProcess(Displayed):
 
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
-        yield "B", "none" if self.B is None else "given"
-        yield "C", brief(self.C)
+        parts = ("A", "B", *self._stated_by, "u0")
+        yield from ((name, brief(x)) for name in parts if (x := getattr(self, name)) is not None)
+
+    def _picture(self) -> str:
+        return self.C._picture()
 
     def _set_weak_metric(self, B: Matrix) -> None:
         """The metric A + tau B of a singular A: tau is the longest time that the diagonals show."""
@@ -439,6 +443,8 @@ class SweepingProcess(Displayed):
     f="; the load is load",
     J="; J is the support function of the set dissipation",
     D="; D is dissipation",
+    friction="; a friction bound g is dissipation=so.Box(-g, g)",
+    g="; a friction bound g is dissipation=so.Box(-g, g)",
     K="; K is cone",
     x0="; the start is u0",
 )
@@ -451,13 +457,14 @@ class EvolutionVI(SweepingProcess):
     ----------
     A, B, u0
         As in SweepingProcess.
-    load : callable t -> (dim,), Separable, array_like or None
-        f; None is no load.
+    load : callable t -> (dim,), Separable, VectorTable, array_like or None
+        f; a vector is constant, None is no load.
     dissipation : ConvexSet or None
-        D with J = sigma(D, .): convex, positively homogeneous; Lipschitz when D is bounded.
-        None is J = 0.
+        D, the friction forces that are possible: ``Box(-g, g)`` for a friction bound g. J is its
+        support function, J(v) = g |v| there; None is J = 0.
     cone : ConvexSet or None
-        K, a closed convex cone; None is the whole space.
+        K, the velocities that are possible: ``Orthant(n)`` for u' >= 0. A closed convex cone; None
+        is the whole space.
     fields
         As in SweepingProcess.
 
@@ -469,11 +476,13 @@ class EvolutionVI(SweepingProcess):
     Examples
     --------
     >>> from sweepopt.sets import Box
-    >>> D = Box([-1], [1])
-    >>> vi = EvolutionVI([[0.5]], [[2.0]], load=lambda t: [1.5 * t], dissipation=D, u0=[0])
+    >>> D = Box(-1, 1)
+    >>> vi = EvolutionVI(A=0.5, B=2.0, load=lambda t: 1.5 * t, dissipation=D, u0=0.0)
     >>> vi.C.at(0.0).support([1.0])
     1.0
     """
+
+    _stated_by = ("load", "dissipation", "cone")
 
     def __init__(
         self,
@@ -489,17 +498,24 @@ class EvolutionVI(SweepingProcess):
         A, B, sizes = _matrices(A, B)
         for name, given in (("dissipation", dissipation), ("cone", cone)):
             if given is not None and not isinstance(given, ConvexSet):
-                kind = type(given).__name__
-                moves = name == "dissipation" and isinstance(given, MovingSet)
-                remedy = (
-                    "; as C(t) = load - dissipation, take SweepingProcess(A, B, "
-                    "C=so.Moving(-set, center=load, scale=g), u0=u0)"
-                )
+                remedy = "a friction bound g is so.Box(-g, g)"
+                if name == "cone":
+                    remedy = "velocities >= 0 are so.Orthant(n)"
+                elif callable(given) or isinstance(given, MovingSet):
+                    remedy = (
+                        "as C(t) = load - dissipation, take SweepingProcess(A, B, "
+                        "C=so.Moving(-set, center=load, scale=g), u0=u0)"
+                    )
                 raise InputError(
-                    f"{name} must be a set that does not move, got {kind}{remedy if moves else ''}"
+                    f"{name} must be a set that does not move, got {shown(given)}; {remedy}"
                 )
             if given is not None:
                 sizes[name] = given.dim
+        if not callable(load) and axes(load) == 2:
+            raise InputError(
+                "load must be a function of t or one vector; one row a time is "
+                "so.VectorTable(times, rows)"
+            )
         self.load = load if callable(load) or load is None else vector("load", load)
         if (size := getattr(self.load, "dim" if callable(load) else "size", None)) is not None:
             sizes["load"] = size
@@ -508,7 +524,8 @@ class EvolutionVI(SweepingProcess):
         self.dissipation, self.cone = dissipation, cone
         D: ConvexSet = Point(np.zeros(dim)) if dissipation is None else dissipation
         if cone is not None:
-            D = D + cone.polar()
+            with at_path("cone: "):
+                D = D + cone.polar()
         C: AnySet = -D
         if self.load is not None:
             C = moved = Moving(-D, center=self.load)

@@ -52,7 +52,7 @@ def facets(C: ConvexSet) -> Halfspaces:
     Examples
     --------
     >>> from sweepopt.sets import Box, image
-    >>> N, d, *_ = facets(Box([-1, -1], [1, 1]) + image([[1.0], [1.0]], Box([-1], [1])))
+    >>> N, d, *_ = facets(Box([-1, -1], [1, 1]) + image([[1.0], [1.0]], Box(-1, 1)))
     >>> len(N), d.max().round(3)
     (6, np.float64(2.0))
     """

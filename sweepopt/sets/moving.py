@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import dimension, instant, number, symmetric, vector
-from sweepopt.errors import InputError, noted
+from sweepopt.errors import InputError, noted, shown
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
@@ -175,8 +175,10 @@ class Moving(MovingSet):
     Parameters
     ----------
     shape : ConvexSet
-    center : callable t -> (dim,), array_like or None
-    scale : callable t -> float >= 0, float or None
+    center : callable t -> (dim,), Separable, VectorTable, array_like or None
+        Where the set is, such as a load; None is 0.
+    scale : callable t -> float >= 0, Table, float or None
+        How large it is, such as a friction bound that changes; None is 1.
 
     Raises
     ------
@@ -186,7 +188,7 @@ class Moving(MovingSet):
     Examples
     --------
     >>> from sweepopt.sets import Box
-    >>> C = Moving(Box([-1], [1]), center=lambda t: [1.5 * t])
+    >>> C = Moving(Box(-1, 1), center=lambda t: 1.5 * t)
     >>> C.at(2.0).project([0.0])
     array([2.])
     """
@@ -195,7 +197,10 @@ class Moving(MovingSet):
 
     def __init__(self, shape: ConvexSet, center: Any = None, scale: Any = None) -> None:
         if not isinstance(shape, ConvexSet):
-            raise InputError(f"Moving needs a set that does not move, got {type(shape).__name__}")
+            raise InputError(
+                f"shape must be a set that does not move, got {shown(shape)}; a function t -> set "
+                "is so.MovingSet(function)"
+            )
         self.shape, self.dim = shape, shape.dim
         if not callable(center) and center is not None:
             center = Separable([(Constant(), vector("center", center, self.dim))])
@@ -204,6 +209,9 @@ class Moving(MovingSet):
         self.center, self.scale = center, scale
         if isinstance(center, (Separable, VectorTable)) and center.dim != self.dim:
             raise InputError(f"center must have {self.dim} entries, got {center.dim}")
+
+    def _picture(self) -> str:
+        return self.shape._picture()
 
     def center_at(self, t: float) -> np.ndarray:
         """center(t), shape (dim,)."""
@@ -314,8 +322,8 @@ class StateDependent(MovingSet):
     >>> def friction(t, u):
     ...     g = 0.5 + 0.5 * np.exp(-abs(u))
     ...     return so.Box(t - g, t + g)
-    >>> C = so.StateDependent(friction, lipschitz=[[0.5]])
-    >>> process = so.SweepingProcess(A=[[1.0]], B=[[2.0]], C=C, u0=[0.0])
+    >>> C = so.StateDependent(friction, lipschitz=0.5)
+    >>> process = so.SweepingProcess(A=1.0, B=2.0, C=C, u0=0.0)
     >>> sol = so.solve(process, t_end=2.0, steps=100)
     >>> sol.plan.contraction < 0.01, round(float(sol.u[-1, 0]), 3)
     (True, 0.317)

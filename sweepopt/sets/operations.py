@@ -115,11 +115,13 @@ def product(*sets: Any) -> Any:
     Examples
     --------
     >>> from sweepopt.sets import Ball
-    >>> product(Ball([0.0, 0.0], 1.0), Box([-1], [1])).support([3.0, 4.0, 2.0])
+    >>> product(Ball([0.0, 0.0], 1.0), Box(-1, 1)).support([3.0, 4.0, 2.0])
     7.0
     """
     if not sets or not all(isinstance(C, ConvexSet) for C in sets):
-        raise InputError("product(C, D, ...) takes one or more sets")
+        raise InputError(
+            "product(C, D, ...) takes one or more sets; a list of them as product(*sets)"
+        )
     if all(isinstance(C, Point) for C in sets):
         return Point(np.concatenate([C.anchor for C in sets]))
     if all(isinstance(C, Box) for C in sets):
@@ -148,7 +150,7 @@ def image(M: Any, C: Any) -> Any:
 
     Examples
     --------
-    >>> image([[1.0], [1.0]], Box([-1], [1])).support([2.0, 3.0])
+    >>> image([[1.0], [1.0]], Box(-1, 1)).support([2.0, 3.0])
     5.0
     """
     if not isinstance(C, (ConvexSet, MovingSet)):

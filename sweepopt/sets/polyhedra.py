@@ -107,7 +107,7 @@ class Polyhedron(ConvexSet):
         self._set_offsets(h)
 
     def _set_offsets(self, h: Any) -> None:
-        self.h = vector("h", h, self.G.shape[0], finite=False)
+        self.h = vector("h, one for each row of G,", h, self.G.shape[0], finite=False)
         self.offsets = self.h / self._units
         if np.isinf(self.h).any():
             i = int(np.flatnonzero(np.isinf(self.h))[0])

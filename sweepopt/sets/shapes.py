@@ -61,7 +61,8 @@ class Box(ConvexSet):
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
             raise EmptySetError(
-                f"Box is empty: lower[{i}] = {self.lower[i]:g}, upper[{i}] = {self.upper[i]:g}"
+                f"Box is empty: lower[{i}] = {self.lower[i]:g}, upper[{i}] = {self.upper[i]:g}; "
+                "lower must not be above upper, as in Box(-g, g) with g >= 0"
             )
         self._low, self._up = np.isfinite(self.lower), np.isfinite(self.upper)
         self.offsets = np.concatenate([self.upper[self._up], -self.lower[self._low]])

@@ -291,6 +291,8 @@ def _solvers(
         try:
             chosen = choose(solver, C if selection is None else selection.part, tol)
         except SolverRefusedError as error:
+            if t == members[0][0]:  # of no later set, or of a name that is not known
+                raise
             raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
         if not C.singleton:
             solvers = solvers or chosen

@@ -63,8 +63,8 @@ class Trajectory:
     Examples
     --------
     >>> import sweepopt as so
-    >>> C = so.Moving(so.Box([-1], [1]), so.Separable([(so.Polynomial([0.0, 1.5]), [1.0])]))
-    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> C = so.Moving(so.Box(-1, 1), so.Separable([(so.Polynomial([0.0, 1.5]), 1.0)]))
+    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
     >>> exact = so.solve(process, t_end=5.0, steps=10, scheme="exact").exact
     >>> exact.switches.round(8), exact([0.5, 5.0]).round(8).tolist()
     (array([0.66666667]), [[0.0], [3.06250001]])

@@ -48,7 +48,7 @@ class ActiveSet(Small):
     Examples
     --------
     >>> from sweepopt.sets import Ball, Box
-    >>> ActiveSet().treats(Box([-1.0], [1.0])), ActiveSet().treats(Ball([0.0, 0.0], 1.0))
+    >>> ActiveSet().treats(Box(-1.0, 1.0)), ActiveSet().treats(Ball([0.0, 0.0], 1.0))
     (True, False)
     """
 

@@ -42,7 +42,7 @@ class DAQP(Small):
     Examples
     --------
     >>> from sweepopt.sets import Ball, Box
-    >>> DAQP().treats(Box([-1.0], [1.0])), DAQP().treats(Ball([0.0, 0.0], 1.0))
+    >>> DAQP().treats(Box(-1.0, 1.0)), DAQP().treats(Ball([0.0, 0.0], 1.0))
     (True, False)
     """
 
