@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import Matrix
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, largest_ratio
 from sweepopt.problem.process import SweepingProcess
@@ -28,9 +28,11 @@ class Norms:
     """
 
     def __init__(self, process: SweepingProcess) -> None:
-        self._B, self.weak = process.B, not process.coercive
-        known = process.metric.M is process.B
-        self._weak = process.metric if known else _factor(process.B)
+        B, self.weak = process.B, not process.coercive
+        self._B, self._weak = B, process.metric if process.metric.M is B else None
+        if B is not None and self._weak is None:
+            with suppress(InputError):  # of a singular one
+                self._weak = Factor(B, "B")
         metric = self._weak if self.weak else process.metric
         if metric is None:
             raise InputError(
@@ -38,7 +40,9 @@ class Norms:
                 "with a run of twice the steps"
             )
         self._metric, self.beta = metric, metric.smallest_eigenvalue()
-        self.lam, self.Lam = _rates(process)
+        self.lam, self.Lam = 0.0, 0.0 if self.weak else process.Lam
+        if not (self.weak or self._weak is None):
+            self.lam = math.nextafter(1 / largest_ratio(self._weak, process.A), 0.0)
         self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue()
 
     def A(self, x: np.ndarray) -> np.ndarray:
@@ -92,22 +96,3 @@ def applied(M: Any, x: np.ndarray) -> np.ndarray:
 def squares(M: Any, x: np.ndarray) -> np.ndarray:
     """<Mx, x> over the last axis."""
     return (applied(M, x) * x).sum(axis=-1)
-
-
-def _factor(B: Matrix | None) -> Factor | None:
-    """B factorised; None where it is singular."""
-    try:
-        return None if B is None else Factor(B, "B")
-    except InputError:
-        return None
-
-
-def _rates(process: SweepingProcess) -> tuple[float, float]:
-    """lam and Lam: below and above all eigenvalues of A^-1 B."""
-    if process.B is None or not process.coercive:
-        return 0.0, 0.0
-    try:
-        largest = largest_ratio(Factor(process.B, "B"), process.A)
-    except InputError:  # B is singular
-        return 0.0, process.Lam
-    return math.nextafter(1 / largest, 0.0), process.Lam

@@ -6,7 +6,7 @@ Let v be a Lipschitz function, w(t) any selection in C(t), and
 
 Then for e = u - v, as monotonicity of the normal cone gives <e', A e' + B e + r> <= G:
 
-    |e(t)|_A <= K(t) |e(0)|_A + int K(t - s) sqrt(2 G + |r|^2) ds      (fan; | | of A^-1 for r)
+    |e(t)|_A <= K(t) (|e(0)|_A + int sqrt(2 G + |r|^2))                (fan; | | of A^-1 for r)
     |e(t)|_A <= |e(0)|_A + sqrt(t (|e(0)|_B^2 + int 2 G + |r|^2))      (energy).
 
 Let further r = r_1 + r_2, r_2 of bounded variation. With <e', r_1> >= -|e'|_A^2 - |r_1|^2 / 4 and
@@ -48,7 +48,7 @@ from sweepopt.problem import Norms, SweepingProcess, motion
 from sweepopt.results.nodes import Nodes, companion, cubic, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.sets import Polyhedron
-from sweepopt.velocity import Plan, compile_projection
+from sweepopt.velocity import Plan
 
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
 TOL = 1e-8  # of the second run: 1e-9 takes twice the digits where A is uneven, 3 times the time
@@ -128,13 +128,12 @@ def error_bound(
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
-    start = _start(process, replace(plan, reduction=None), float(run.t[0]))
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     lower = 0.0
     while True:
         work -= len(t) - 1
-        nodes, slopes = companion(process, plan, velocities, t, start)
+        nodes, slopes = companion(process, plan, velocities, t)
         curves = slopes_of_curves(nodes, slopes)
         each, reason = residuals(process, norms, nodes, curves, variation)
         growth = _growth(norms, t, each)
@@ -180,14 +179,6 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
         shape = shape.with_offsets(h)
     w = center + scale * shape.magnitude() / math.sqrt(norms.beta_B)
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
-
-
-def _start(process: SweepingProcess, plan: Plan, t: float) -> np.ndarray | None:
-    """u'(t_0); None where A is singular."""
-    if not process.coercive:
-        return None
-    phi = compile_projection(plan, process.metric)
-    return phi(process.times_B(process.u0), process.C.at(t)).z
 
 
 def _refined(t: np.ndarray, shares: np.ndarray, cuts: int) -> np.ndarray:
@@ -239,7 +230,8 @@ def _growth(norms: Norms, t: np.ndarray, each: Residuals) -> _Growth:
     gap, square = gaps[curve, step], squares[curve, step]
     once = np.sqrt(np.diff(t) * (gap + square))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)
     energy = np.cumsum(gap + np.where(weak, 0.0, square)) + 2 * of_B * R
-    A = _with_fan(norms, t, once, np.sqrt((t[1:] - t[0]) * energy))
+    time = t[1:] - t[0]
+    A = np.minimum(norms.growth(time) * np.cumsum(once), np.sqrt(time * energy))
     of_B = np.minimum(of_B, math.sqrt(norms.Lam) * np.cumsum(once)) if norms.Lam else 0 * of_B
     if norms.lam > 0 and of_B[-1] < math.sqrt(norms.lam) * A[-1]:
         return _Growth(np.minimum(A, of_B / math.sqrt(norms.lam)), of_B, cost, curve)
@@ -258,19 +250,6 @@ def _variation(
     # |r(t)| is at most that at each end and the variation from there
     size = 0.5 * (norms.dual_B(begin) + norms.dual_B(end) + turning) + error
     return np.cumsum(turning + jumps), np.maximum.accumulate(size)
-
-
-def _with_fan(norms: Norms, t: np.ndarray, once: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """The bound at t_1, .. or, if it is less, sum_j K(t_i - t_j) int_j sqrt(2 G + |r|^2).
-
-    As K >= 1 only nodes matter where the sum without K is less; of many, a hundred. As the sum with
-    K never falls, that of the next one holds at the others.
-    """
-    lower = np.flatnonzero(np.cumsum(once) < bound) + 1
-    ends = lower[:: -max(len(lower) // 100, 1)][::-1]
-    sums = [float(norms.growth(t[m] - t[:m]) @ once[:m]) for m in ends]
-    bound[lower - 1] = np.fmin(bound[lower - 1], np.array(sums)[np.searchsorted(ends, lower)])
-    return bound
 
 
 def _difference(nodes: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:

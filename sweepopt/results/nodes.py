@@ -40,9 +40,8 @@ def companion(
     plan: Plan,
     velocities: Velocities,
     t: np.ndarray,
-    start: np.ndarray | None,
 ) -> tuple[Nodes, np.ndarray]:
-    """Nodes of the plan's scheme on the grid t, and the velocities at them; `start` is the first.
+    """Nodes of the plan's scheme on the grid t, and the velocities at them (the mean at the first).
 
     Its last stage is the inclusion at the node itself, so that no difference of forces is divided
     by A; its weights are positive, so that means of velocities stay in cones. A program that
@@ -65,8 +64,7 @@ def companion(
         means.append(mean)
         slopes.append(slope)
     velocity, ends = plan.velocity(np.array(means)), plan.velocity(np.array(slopes))
-    first = velocity[0] if start is None else start
-    return Nodes(times, plan.state(np.array(u)), velocity), np.array([first, *ends])
+    return Nodes(times, plan.state(np.array(u)), velocity), np.array([velocity[0], *ends])
 
 
 def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
