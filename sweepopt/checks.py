@@ -134,7 +134,7 @@ def at_path(where: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"{where}{error}") from error
+        raise type(error)(f"{where}{error}") from error
 
 
 def agree(**sizes: int) -> None:

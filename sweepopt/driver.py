@@ -285,7 +285,7 @@ def _refine(
     bound = number("error", error, minimum=0.0, strict=True)
     all_kept, run = replace(options, t_end=None, save=None), _warning_once(_run)
     sol = refine(lambda times: run(process, replace(all_kept, steps=times)), first, bound)
-    if options.save is None and callback is None and not progress:
+    if not sol.success or (options.save is None and callback is None and not progress):
         return sol
     return run(process, replace(options, t_end=None, steps=sol.t), callback, progress)
 

@@ -275,7 +275,7 @@ def test_steps_end_where_the_rate_of_a_prescribed_displacement_jumps():
     ],
 )
 def test_a_bad_law_of_the_slip_is_refused(value, message):
-    with pytest.raises(InputError, match=f"^effects.friction.{message}"):
+    with pytest.raises(InputError, match=f"^square: effects.friction.{message}"):
         read_scene("square", changes={"effects.friction.slip": value})
 
 

@@ -322,6 +322,41 @@ def test_steps_are_refined_in_silence_until_the_bound_holds(scheme, error):
     assert seen == sol.stats["t"].tolist()
 
 
+class Interrupting(so.Sine):
+    """Data, and Ctrl-C at the evaluation number `at`."""
+
+    count = at = 0
+
+    def __call__(self, t):
+        Interrupting.count += 1
+        if Interrupting.count == Interrupting.at:
+            raise KeyboardInterrupt
+        return super().__call__(t)
+
+
+def interrupted(monkeypatch, at, action):
+    monkeypatch.setattr(Interrupting, "count", 0)
+    monkeypatch.setattr(Interrupting, "at", at)
+    return action()
+
+
+# 549 evaluations in all, of two runs and their bounds: in a run, and in the first one's bound
+@pytest.mark.parametrize("how", [{}, {"save": "last"}, {"callback": lambda info: None}])
+@pytest.mark.parametrize(("at", "end"), [(40, None), (217, 8.0), (400, None)])
+def test_ctrl_c_while_steps_are_refined_returns_a_run_that_says_so(monkeypatch, at, end, how):
+    load = so.Separable([(Interrupting(3.0, np.pi), 1.0)])
+    process, asked = block(load), {"t_end": 8.0, "steps": 20, "error": 1e-2, **how}
+    sol = interrupted(monkeypatch, at, lambda: so.solve(process, **asked))
+    assert sol.status is so.Status.INTERRUPTED
+    assert sol.t[-1] == 8.0 if end else sol.t[-1] < 8.0
+
+
+def test_ctrl_c_while_a_bound_is_computed_is_not_swallowed(monkeypatch):
+    sol = so.solve(block(so.Separable([(Interrupting(3.0, np.pi), 1.0)])), t_end=8.0, save="last")
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(monkeypatch, 300, sol.error_bound)
+
+
 def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
     with pytest.raises(so.InputError, match=r"error= needs a guaranteed bound"):
         so.solve(case("S03").process, t_end=1.0, steps=20, error=1e-2)

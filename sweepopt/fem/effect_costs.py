@@ -105,9 +105,9 @@ def compare_effects(
     [('all effects', 9, 'proportional'), ('without friction', 0, 'linear')]
     """
     steps = count("steps", steps)
-    data, folder = load_scene(source, folder)
+    whole = read_scene(source, folder=folder, changes=changes, without=without)
+    data, folder, _ = load_scene(source, folder)
     data = changed(data, changes or {})
-    whole = read_scene(data, folder=folder, without=without)
     rows, needed = [_cost("all effects", whole, steps)], {}
     for label in remaining(list(effect_tables(data["effects"])), without):
         name = label.removeprefix("effects.")

@@ -14,7 +14,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sweepopt.checks import choice, count, from_table, listed, number
+from sweepopt.checks import at_path, choice, count, from_table, listed, number
 from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.fem import effects
 from sweepopt.fem.fields import Profile, SlipTable, SlipWeakening
@@ -95,7 +95,7 @@ def read_scene(
     Raises
     ------
     InputError
-        Naming the key at fault by its path in the file.
+        Naming the file and the key at fault by its path in it.
 
     Notes
     -----
@@ -152,27 +152,9 @@ def read_scene(
     >>> read_scene("square", changes={"effects.friction.g": 0.5}, without=["traction"]).left_out
     ('no load: f = 0',)
     """
-    data, folder = load_scene(source, folder)
-    data = changed(data, changes or {})
-    for key in set(data) & set(EFFECTS):
-        raise InputError(f"{key}: unknown key; did you mean effects.{key}?")
-    file = _called(_File, data, "", folder)
-    pictures = listed("pictures", file.pictures) if file.pictures else ()
-    for name in pictures:
-        choice("pictures", name, PICTURES)
-    tables = effect_tables(file.effects)
-    chosen = {
-        label: _called(*tables[label], label, folder) for label in remaining(list(tables), without)
-    }
-    body = _called(Discretisation, file.domain, "domain", folder)
-    settings = {"title": file.title, "units": file.units, "pictures": pictures}
-    settings["changes"] = (
-        *(f"{path} = {value!r}" for path, value in (changes or {}).items()),
-        *(f"without {name}" for name in ([without] if isinstance(without, str) else without)),
-    )
-    for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
-        settings |= _called(kind, table, path, folder)
-    return build(body, chosen, _called(Initial, file.initial, "initial", folder), settings)
+    data, folder, where = load_scene(source, folder)
+    with at_path(where):
+        return _assembled(changed(data, changes or {}), folder, changes or {}, without)
 
 
 def keys_of(effect: type) -> str:
@@ -189,15 +171,40 @@ read_scene.__doc__ = str(read_scene.__doc__).replace(
 
 def load_scene(
     source: str | Path | Mapping[str, Any], folder: str | Path = "."
-) -> tuple[Mapping[str, Any], Path]:
-    """The tables of a scene, and where its relative paths start."""
+) -> tuple[Mapping[str, Any], Path, str]:
+    """The tables of a scene, where its relative paths start, and what its errors begin with."""
     folder = as_path("folder", folder)
     if isinstance(source, Mapping):
-        return source, folder
+        return source, folder, ""
     if isinstance(source, str) and "\n" in source:
-        return parse_toml("the scene", source), folder
+        return parse_toml("the scene", source), folder, ""
     path = find_scene(source) if isinstance(source, str) else as_path("source", source)
-    return read_toml(path), path.parent
+    return read_toml(path), path.parent, f"{source}: "
+
+
+def _assembled(
+    data: Mapping[str, Any], folder: Path, changes: Mapping[str, Any], without: Sequence[str]
+) -> Scene:
+    """The scene of its tables."""
+    for key in set(data) & set(EFFECTS):
+        raise InputError(f"{key}: unknown key; did you mean effects.{key}?")
+    file = _called(_File, data, "", folder)
+    pictures = listed("pictures", file.pictures) if file.pictures else ()
+    for name in pictures:
+        choice("pictures", name, PICTURES)
+    tables = effect_tables(file.effects)
+    chosen = {
+        label: _called(*tables[label], label, folder) for label in remaining(list(tables), without)
+    }
+    body = _called(Discretisation, file.domain, "domain", folder)
+    settings = {"title": file.title, "units": file.units, "pictures": pictures}
+    settings["changes"] = (
+        *(f"{path} = {value!r}" for path, value in changes.items()),
+        *(f"without {name}" for name in ([without] if isinstance(without, str) else without)),
+    )
+    for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
+        settings |= _called(kind, table, path, folder)
+    return build(body, chosen, _called(Initial, file.initial, "initial", folder), settings)
 
 
 def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> Any:

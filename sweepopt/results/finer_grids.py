@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from sweepopt.errors import AccuracyError, InputError
+from sweepopt.errors import AccuracyError, InputError, Status
 from sweepopt.integrate import divided
 from sweepopt.results.solution import Solution
 
@@ -19,6 +21,8 @@ HOPELESS = 100 * STEPS  # needed by the order of the scheme, from a grid that ma
 
 def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: float) -> Solution:
     """Run on finer and finer grids; each contains the one before.
+
+    Ctrl-C during a run returns its steps, Ctrl-C during a bound the run that it is of.
 
     Parameters
     ----------
@@ -37,11 +41,17 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
         If finer grids do not help any more.
     """
     last: float | None = None
+    solution: Any = None
     while len(times) <= STEPS:
-        solution = run(times)
-        if not solution.success:
-            return solution
-        bound = solution._bound  # without the warning
+        try:
+            solution = run(times)
+            if not solution.success:
+                return solution
+            bound = solution._bound  # without the warning
+        except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
+            if solution is None:
+                raise
+            return replace(solution, status=Status.INTERRUPTED)
         if not bound.guaranteed:
             raise InputError(
                 "error= needs a guaranteed bound, but only samples are known of this C(t): give "

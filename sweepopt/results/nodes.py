@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sweepopt.errors import Status
 from sweepopt.integrate import (
     MEMORY,
     Grid,
@@ -74,6 +75,8 @@ def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     for tol in (plan.tol, math.inf):
         run = Run(grid, process.u0)
         integrate(process, replace(plan, tol=tol), run)
+        if run.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
         if run.done == len(mus):
             break
     states = run.states()

@@ -109,6 +109,7 @@ class Case:
         self.stiffness, A, self.g, load, period, self.offset = map(draw, DRAWN)
         self.mu_Lam, self.metric = float(self.stiffness.max()), A
         viscous = self.mu_Lam < inf
+        self.B: np.ndarray
         self.A, self.B = (A, self.stiffness * A / self.mu) if viscous else (0 * A, A)
         compliance = np.divide(1.0, self.B, out=0 * A, where=self.B > 0)
         self.center = compliance * self.offset
