@@ -10,8 +10,7 @@ from sweepopt.checks import dimension, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.sets.base import ConvexSet, Features, same_array
 from sweepopt.sets.conic import conic, in_dual, in_own_units
-from sweepopt.sets.cvxpy_lock import in_turn
-from sweepopt.sets.programs import normal_by_program, support_by_program
+from sweepopt.sets.programs import in_turn, normal_by_program, support_by_program
 
 if TYPE_CHECKING:
     import cvxpy as cp
