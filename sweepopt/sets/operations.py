@@ -119,7 +119,9 @@ def product(*sets: Any) -> Any:
     7.0
     """
     if not sets or not all(isinstance(C, ConvexSet) for C in sets):
-        raise InputError("product(C, D, ...) takes one or more sets")
+        raise InputError(
+            "product(C, D, ...) takes one or more sets; give them one by one: so.product(*sets)"
+        )
     if all(isinstance(C, Point) for C in sets):
         return Point(np.concatenate([C.anchor for C in sets]))
     if all(isinstance(C, Box) for C in sets):
