@@ -17,17 +17,15 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.curves import basis, products, to_bernstein
-from sweepopt.sets.cvxpy_lock import in_turn
 from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.facets import facets
-from sweepopt.sets.least_distance import least_distance
+from sweepopt.sets.least_distance import least_distance, parallel_rows
 from sweepopt.sets.lifted import Lifted
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent
 from sweepopt.sets.operations import image, product
-from sweepopt.sets.parallel import parallel_rows
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
-from sweepopt.sets.programs import CAREFUL
+from sweepopt.sets.programs import CAREFUL, in_turn
 from sweepopt.sets.projection import InMetric, Start
 from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
 

@@ -25,7 +25,17 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-class Balls(ConvexSet):
+class _InBlocks(ConvexSet):
+    """Sets of one block after the other in the vector."""
+
+    def weights(self, tau: np.ndarray) -> np.ndarray:
+        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        return assembled(self.blocks(v), self.dim)
+
+
+class Balls(_InBlocks):
     """The product of m balls around 0 in R^dim, one after the other in the vector.
 
     sigma(z) = sum_k radii_k |z_k|: friction bounds at m contact points, as arrays.
@@ -101,9 +111,6 @@ class Balls(ConvexSet):
         distances = np.linalg.norm(np.where(better, arcs, 0.0), axis=1)
         return CurveGaps(np.where(better, 0.0, of_w).sum(axis=1), distances)
 
-    def weights(self, tau: np.ndarray) -> np.ndarray:
-        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
-
     def blocks(self, v: np.ndarray) -> list[Blocks]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
         arms = self._arms(v)
@@ -113,9 +120,6 @@ class Balls(ConvexSet):
         share = np.divide(self.radii, lengths, out=np.ones_like(lengths), where=out)
         D = share[:, None, None] * (np.eye(self.block) - n[:, :, None] * n[:, None, :])
         return [neighbours(D)]
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        return assembled(self.blocks(v), self.dim)
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]
@@ -169,7 +173,7 @@ class Ball(Balls):
         return [self]
 
 
-class SecondOrderCone(ConvexSet):
+class SecondOrderCone(_InBlocks):
     """{ w : |w[1:]| <= slope w[0] }: sigma is the indicator of its polar cone.
 
     Several slopes make the product of as many cones, one after the other in the vector. Shifted
@@ -251,12 +255,6 @@ class SecondOrderCone(ConvexSet):
         across = np.eye(self.block - 1) - n[:, :, None] * n[:, None, :]
         D[out, 1:, 1:] += turn[:, None, None] * across
         return [neighbours(D)]
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        return assembled(self.blocks(v), self.dim)
-
-    def weights(self, tau: np.ndarray) -> np.ndarray:
-        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
     def exchange(self, diagonal: np.ndarray) -> np.ndarray:
         each = diagonal.reshape(-1, self.block)

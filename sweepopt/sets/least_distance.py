@@ -6,10 +6,21 @@ is a least-distance program (C. Lawson, R. Hanson, Solving Least Squares Problem
 with  y >= 0  that minimises  |G^T y|^2 + (<slack, y> + 1)^2  the rows with y > 0 are the active
 ones. `scipy.optimize.nnls` finds them, in units of the largest violation because its tolerances are
 absolute; a QR factorisation of these rows then gives u to rounding.
+
+n w <= d beside -n w <= -d is n w = d: a set with such rows has no inner points, and which of the
+two rows binds is rounding.
+
+Doubles are rational numbers: at the apex of a needle, at a vertex of many rows and on rows that fix
+a point only together, nothing has to be told from rounding. There the method is that of D. Goldfarb
+and A. Idnani, A numerically stable dual method for solving strictly convex quadratic programs,
+Math. Programming 27 (1983): a violated row enters, rows whose multiplier would be negative leave,
+and the distance grows.
 """
 
 from __future__ import annotations
 
+from fractions import Fraction
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,9 +30,10 @@ import scipy.sparse as sp
 from scipy.linalg.lapack import dtrtrs
 
 from sweepopt.errors import EmptySetError
-from sweepopt.linalg import dense, row_lengths
+from sweepopt.linalg import EPS, dense, product_error, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING
 
+SAME = 4 * EPS  # of unit rows: k n is rounded once, and both lengths three times
 DEPENDENT = 1e-14  # the part of a row outside of the span of others that is rounding
 EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 
@@ -187,3 +199,119 @@ def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> NonnegativeSoluti
 def projector(rows: np.ndarray) -> np.ndarray:
     """The orthogonal projection on the span of the rows."""
     return np.linalg.pinv(rows, RANK) @ rows
+
+
+# ---- rows with one direction ----------------------------------------------------------------
+
+
+class Parallel(NamedTuple):
+    """Pairs of rows n_i = sign n_j, i < j, each array of shape (k,)."""
+
+    i: np.ndarray
+    j: np.ndarray
+    sign: np.ndarray
+
+    def equal(self, d: np.ndarray, margin: np.ndarray) -> np.ndarray:
+        """Which of the pairs have one side, d_i = sign d_j, but for the larger margin of the two.
+
+        Sides are shape (m,), or (m, k) for k histories.
+        """
+        i, j, sign = self
+        change = np.abs(d[i].T - sign * d[j].T).T.reshape(i.size, d[:1].size)
+        return change.max(axis=1, initial=0.0) <= np.maximum(margin[i], margin[j])
+
+    def among(self, some: np.ndarray) -> Parallel:
+        """Some of the pairs."""
+        return Parallel(*(x[some] for x in self))
+
+    def opposite_but_for_rounding(self, R: Any) -> np.ndarray:
+        """Which pairs of rows R are a wedge: opposite, but no row is a multiple of the other."""
+        wedges = self.sign < 0
+        # most are n and -n, to the last bit: the others are few, and dense
+        wedges[wedges] = abs(R[self.i[wedges]] + R[self.j[wedges]]).sum(axis=1) > 0
+        x, y = dense(R[self.i[wedges]]), dense(R[self.j[wedges]])
+        largest = np.abs(x).argmax(axis=1)[:, None]
+        of_x, of_y = (np.take_along_axis(z, largest, axis=1) for z in (x, y))
+        other = (of_y * x != of_x * y) | (product_error(of_y, x) != product_error(of_x, y))
+        wedges[wedges] = other.any(axis=1)
+        return wedges
+
+
+def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
+    """The pairs among unit rows, dense or sparse; rows of zeros are in none.
+
+    They differ by no more than the rounding of a multiple of a row.
+
+    Examples
+    --------
+    >>> parallel_rows(np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))
+    Parallel(i=array([0]), j=array([2]), sign=array([-1.]))
+    """
+    # parallel rows are neighbours in the order of their products with any vector
+    direction = np.random.default_rng(0).normal(size=R.shape[1])
+    heights = R @ direction
+    order = np.argsort(np.abs(heights), kind="stable")
+    ends = np.flatnonzero(np.diff(np.abs(heights[order])) > rounding * np.abs(direction).sum())
+    groups = np.split(order, ends + 1)
+    pairs = [pair for group in groups for pair in combinations(np.sort(group).tolist(), 2)]
+    i, j = np.array(pairs, dtype=int).reshape(-1, 2).T
+    sign = np.sign(heights[i] * heights[j])
+    parallel = (row_lengths(R[i] - sign[:, None] * R[j]) <= rounding) & (sign != 0)
+    return Parallel(i[parallel], j[parallel], sign[parallel])
+
+
+# ---- in rational numbers --------------------------------------------------------------------
+
+rational = np.frompyfunc(Fraction, 1, 1)
+
+
+def exact_multipliers(G: np.ndarray, h: np.ndarray, v: np.ndarray, tau: np.ndarray) -> Any:
+    """y >= 0 for which w = v - tau G^T y is the point of { w : G w <= h } nearest to v.
+
+    Parameters
+    ----------
+    G, h, v, tau : ndarray of Fraction, shapes (m, dim), (m,), (dim,) and (dim,)
+        The metric is that of 1 / tau.
+
+    Returns
+    -------
+    ndarray of Fraction, shape (m,), or None
+        None if the set is empty.
+    """
+    active: list[int] = []
+    y, slack = 0 * h, h - G @ v
+    products = np.full((len(h), len(h)), Fraction(0))
+    while (slack < 0).any():
+        new = int(slack.argmin())
+        products[:, new] = G @ (tau * G[new])
+        while True:
+            direction = 0 * y
+            direction[active] = -_solution(products[np.ix_(active, active)], products[active, new])
+            direction[new] = Fraction(1)
+            moving = [*active, new]
+            change = products[:, moving] @ direction[moving]
+            falling = [k for k in active if direction[k] < 0]
+            limits = [-y[k] / direction[k] for k in falling]
+            if change[new] > 0:  # else the row depends on the active ones
+                falling.append(new)
+                limits.append(-slack[new] / change[new])
+            if not falling:
+                return None
+            length = min(limits)
+            last = falling[limits.index(length)]
+            y, slack = y + length * direction, slack + length * change
+            if last == new:
+                active.append(new)
+                break
+            active.remove(last)
+    return y
+
+
+def _solution(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """H^-1 b, H symmetric positive definite."""
+    S = np.column_stack([H, b])
+    for k in range(len(S)):
+        S[k] /= S[k, k]
+        others = np.arange(len(S)) != k
+        S[others] -= np.outer(S[others, k], S[k])
+    return S[:, -1]

@@ -120,7 +120,7 @@ def product(*sets: Any) -> Any:
     """
     if not sets or not all(isinstance(C, ConvexSet) for C in sets):
         raise InputError(
-            "product(C, D, ...) takes one or more sets; a list of them as product(*sets)"
+            "product(C, D, ...) takes one or more sets; give them one by one: so.product(*sets)"
         )
     if all(isinstance(C, Point) for C in sets):
         return Point(np.concatenate([C.anchor for C in sets]))

@@ -31,14 +31,15 @@ from sweepopt.sets.base import (
 from sweepopt.sets.least_distance import (
     Flat,
     Shortest,
+    exact_multipliers,
     nonnegative_least_squares,
+    parallel_rows,
     projector,
+    rational,
     shortest_on,
 )
 from sweepopt.sets.moving import MovingOffsets
-from sweepopt.sets.parallel import parallel_rows
 from sweepopt.sets.programs import normal_by_program
-from sweepopt.sets.rational import exact_multipliers, rational
 from sweepopt.sets.shapes import FEW, Box, rows_features
 
 if TYPE_CHECKING:

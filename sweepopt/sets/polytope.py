@@ -1,4 +1,4 @@
-"""The hull of points, projected by nonnegative least squares."""
+"""The hull of points, projected by an active set."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 HULL = 8  # dimensions up to which a hull is computed
+TURNS = 20  # changes of the face, for each vertex
 COPLANAR = 1e-13  # points of size 1 that are nearer to a facet's plane lie on it: a few roundings
 
 
@@ -78,29 +79,44 @@ class Polytope(ConvexSet):
         """The vertices whose hull is the face nearest to w, and the nearest point; None inside.
 
         Of all y >= 0 those that minimise |sum_i y_i (v_i - w) / unit|^2 + (sum_i y_i - 1)^2 are
-        multiples of the shares of the nearest point. The unit is the distance, from above: NNLS has
-        absolute tolerances. All is measured from the vertex with the largest share.
+        multiples of the shares of the nearest point, but for absolute tolerances of NNLS. So Wolfe
+        goes on (Finding the nearest point in a polytope, Math. Programming 11, 1976): a vertex
+        ahead of the point enters, those whose share would be negative leave. All is measured from
+        the vertex with the largest share: no rounding of a far w, or vertex, hides another one.
         """
-        V, goal = self.vertices, np.eye(self.dim + 1)[-1]
-        unit = float(np.abs(V - w).max())
-        rounding = 10 * ROUNDING * max(np.abs(w).max(), np.abs(V).max())
-        while unit > rounding:
-            system = np.vstack([(V - w).T / unit, np.ones(len(V))])
-            y = nonnegative_least_squares(system, goal).y
-            vertices = V[np.argsort(-y, kind="stable")[: np.count_nonzero(y)]]
+        V, size = self.vertices, max(np.abs(w).max(), np.abs(self.vertices).max()) or 1.0
+        system = np.vstack([(V - w).T / size, np.ones(len(V))])
+        y = nonnegative_least_squares(system, np.eye(self.dim + 1)[-1]).y
+        active, before = np.flatnonzero(y), np.zeros(0, dtype=int)
+        shares = y[active] / y.sum()
+        for _ in range(TURNS * len(V)):
             while True:
-                edges = vertices[1:] - vertices[0]
-                shares = np.linalg.lstsq(edges.T, w - vertices[0], rcond=None)[0]
-                all_shares = np.append(1 - shares.sum(), shares)
-                if (all_shares > 0).all():
+                edges = (V[active[1:]] - V[active[0]]).T
+                rest = np.linalg.lstsq(edges, w - V[active[0]], rcond=None)[0]
+                wanted = np.append(1 - rest.sum(), rest)
+                if (wanted > 0).all():
                     break
-                vertices = np.delete(vertices, all_shares.argmin(), axis=0)
-            point = vertices[0] + shares @ edges
-            distance = float(np.abs(w - point).max())
-            if distance > 0.1 * unit:
-                return _Face(vertices, point)
-            unit = distance
-        return None
+                limits = np.where(wanted <= 0, 0.0, 2.0)  # 0 where a share is and stays 0
+                falling = (wanted <= 0) & (shares > wanted)
+                np.divide(shares, shares - wanted, out=limits, where=falling)
+                last = int(np.argmin(limits))
+                shares = np.delete(shares + limits[last] * (wanted - shares), last)
+                active = np.delete(active, last)
+            order = np.argsort(-wanted, kind="stable")
+            active, shares = active[order], wanted[order]
+            arms = V - V[active[0]]
+            point = V[active[0]] + shares[1:] @ arms[active[1:]]
+            p = w - point
+            if np.abs(p).max() <= 10 * ROUNDING * size:
+                return None
+            ahead = arms @ p - ROUNDING * (np.abs(arms) @ (np.abs(w) + np.abs(point)))
+            ahead[active] = 0.0
+            new = int(np.argmax(ahead))
+            # a new one that left at once: only rounding says that it is ahead
+            if not ahead[new] > 0 or set(active) == set(before):
+                break
+            before, active, shares = active, np.append(active, new), np.append(shares, 0.0)
+        return _Face(V[active], point)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         face = self._kept(v, self._nearest_face)

@@ -2,19 +2,24 @@
 
 sigma(C, z) = min { <h, y> : features of z },
 z - P_C(z)  = argmin 1/2 |p|^2 - <z, p> + sigma(C, p).
+
+Runs in several threads are, bit for bit, those in one: each compiles programs of its own. What they
+cannot have of their own, cvxpy's numbers of variables, they take in turns here.
 """
 
 from __future__ import annotations
 
 import contextlib
+import threading
 import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
 from sweepopt.errors import EmptySetError, SweepoptError
 from sweepopt.sets.base import ConvexSet, binary
-from sweepopt.sets.cvxpy_lock import in_turn
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -26,6 +31,27 @@ CAREFUL: dict[str, float] = {
     "iterative_refinement_abstol": 1e-15,
 }
 TIGHT = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12, **CAREFUL}
+
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+_cvxpy = threading.RLock()
+
+
+def in_turn(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """For all that states or solves something in cvxpy: one thread at a time.
+
+    cvxpy numbers its variables by `count += 1`: where two threads do that at once, variables of one
+    program get the same number. And a variable that is shared holds one answer only.
+    """
+
+    @wraps(function)
+    def alone(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _cvxpy:
+            return function(*args, **kwargs)
+
+    return alone
 
 
 @in_turn
