@@ -262,7 +262,7 @@ def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
     import pandas as pd
 
     table = pd.DataFrame(rows)
-    title, text = str(getdoc(SUITES[name])).split("\n\n")[:2]
+    title, text = str(getdoc(SUITES[name][0])).split("\n\n")[:2]
     good = table.verdict.isin(GOOD)
     return [
         f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",
