@@ -2,6 +2,7 @@
 
 import copy
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
-from sweepopt.study.hard.velocities import HardStudy
+from sweepopt.study.hard import option
+from sweepopt.study.hard.velocities import hard_programs
 
 DATA = Path(__file__).parent / "data"
 MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]
@@ -159,7 +161,8 @@ def ask_study(folder, name, file):
     if name == "hard.toml":
         for one in changes:
             change(data, *one)
-        from_table("hard.", HardStudy, data.get("hard"))
+        read = partial(option, hard_programs, "hard.")
+        from_table("hard.", hard_programs, data.get("hard"), read)
     else:
         assert read_study(path).cells()
 

@@ -15,9 +15,9 @@ from sweepopt.study.hard.velocities import (
     HISTORIES,
     PATHS,
     TABLES,
-    HardStudy,
     combination,
     entry_of,
+    hard_programs,
     make,
 )
 
@@ -30,7 +30,7 @@ def solve_once(process, **settings):
 
 
 def judged(*families, **settings):
-    return list(HardStudy(families=families, **{"combinations": 0, **settings}).rows())
+    return list(hard_programs(families=families, **{"combinations": 0, **settings}))
 
 
 def compare(process, sol, mu):

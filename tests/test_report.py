@@ -14,7 +14,7 @@ import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
 from sweepopt.study.diagram import COSTS
-from sweepopt.study.hard.velocities import HardRow, HardStudy
+from sweepopt.study.hard.velocities import HardRow
 from sweepopt.study.problems import problem
 
 TITLE = "What <accuracy> & certainty cost"
@@ -212,11 +212,11 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
     assert len(pd.read_csv(out / "hard.csv")) == 1
     assert set(pd.read_csv(out / "trajectories.csv").verdict) == {"met"}
 
-    def interrupted(_):
+    def interrupted(*_):
         yield from HARD
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(HardStudy, "rows", interrupted)
+    monkeypatch.setattr("sweepopt.study.hard.velocities._runs", interrupted)
     assert main(["study", str(path), "--out", str(out)]) != 0
     assert "2 cells, 2 of them finished before" in capsys.readouterr().err
     kept = pd.read_csv(out / "hard.csv", keep_default_na=False)

@@ -10,7 +10,7 @@ from cases import block, case
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
-from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, make
+from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, StiffRow, judge, make, stiff_bodies
 
 
 def check(row, over_best=2.0):
@@ -23,8 +23,8 @@ def check(row, over_best=2.0):
 def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(body, load):
     # one or two of each here, all of them with -m slow
     stiffness = {"sines": [4.0], "tables": [1e2, math.inf]}[load]
-    study = StiffStudy(bodies=[body], loads=[load], stiffness=stiffness, steps=[40], bounds=False)
-    for row in study.rows():
+    study = stiff_bodies(bodies=[body], loads=[load], stiffness=stiffness, steps=[40], bounds=False)
+    for row in study:
         assert row.scheme == "sdirk32"
         check(row)
 
@@ -35,15 +35,15 @@ def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(body,
 @pytest.mark.parametrize("load", LOADS)
 def test_auto_is_at_most_twice_the_best_of_three_on_many_seeds(body, load, stiffness):
     seeds = [1, 2] if body == "discs" else [1, 2, 3, 4, 5]
-    study = StiffStudy(seeds, [body], [load], [stiffness], [60, 150], bounds=False)
-    for row in study.rows():
+    study = stiff_bodies(seeds, [body], [load], [stiffness], [60, 150], bounds=False)
+    for row in study:
         check(row)
 
 
 @pytest.mark.parametrize("load", LOADS)
 def test_below_two_auto_is_sdirk2_which_neither_rings_nor_is_far_from_the_best(load):
-    study = StiffStudy([0], ["chain"], [load], (0.01, 1.9), [50], bounds=False)
-    for row in study.rows():
+    study = stiff_bodies([0], ["chain"], [load], (0.01, 1.9), [50], bounds=False)
+    for row in study:
         assert row.scheme == "sdirk2"
         check(row)
 
@@ -67,14 +67,14 @@ def test_breakpoints_anywhere_in_steps_favour_none_of_the_three(
     case,
 ):
     body, seed, stiffness, steps = case
-    study = StiffStudy([seed], [body], ["tables"], (stiffness,), [steps], bounds=False)
-    for row in study.rows():
+    study = stiff_bodies([seed], [body], ["tables"], (stiffness,), [steps], bounds=False)
+    for row in study:
         check(row, over_best=1.0)
 
 
 def test_a_bound_that_is_a_thousandth_above_the_error_is_not_below_that_of_the_reference():
     # a fine run in place of the exact one is off by more
-    for row in StiffStudy([1], ["one mass"], ["sines"], (2.0,), [150]).rows():
+    for row in stiff_bodies([1], ["one mass"], ["sines"], (2.0,), [150]):
         check(row)
         assert 1.0 <= row.bound_over_error <= 1.002
 

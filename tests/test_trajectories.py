@@ -13,14 +13,14 @@ from sweepopt.study.hard.suite import GOOD
 from sweepopt.study.hard.trajectories import (
     TRAJECTORIES,
     Case,
-    TrajectoryStudy,
+    hard_trajectories,
 )
 
 SHORT = sorted({*TRAJECTORIES} - {"thousand_cycles"})
 
 
 def runs(name, seed, schemes):
-    return TrajectoryStudy([seed], [name], schemes).rows()
+    return hard_trajectories([seed], [name], schemes)
 
 
 def checked(name, seed, schemes=("auto", *SCHEMES)):

@@ -15,7 +15,7 @@ from sweepopt.results import Solution
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
-from sweepopt.study.hard import suite_summary
+from sweepopt.study.hard import SUITES, suite_summary
 from sweepopt.study.problems import find_source
 from sweepopt.study.report import TARGETS, advice, summary, write_report
 from sweepopt.study.study import Study, read_parts, read_study, run
@@ -51,17 +51,17 @@ def study_command(options: argparse.Namespace) -> None:
         solutions = _fastest_runs(study, table)
         print(summary(table))
         files += [TABLE, DIAGRAM]
-    for name, suite in parts.items():
+    for name, found in parts.items():
         # in this process, from the start: hard cases take some minutes a seed
         (lines := folder / f"{name}.csv").unlink(missing_ok=True)
         rows = suites[name] = []
-        for row in suite.rows():
+        for row in found:
             # as they come: an interrupt leaves those that are there
             pd.DataFrame([row]).to_csv(lines, mode="a", header=not rows, index=False)
             rows.append(row)
             _say(f"{name}: {row[:4]}")
         if rows:
-            print(suite_summary(rows, suite.by))
+            print(suite_summary(rows, SUITES[name][1]))
             files.append(lines.name)
     title = str(data.get("title", path.stem))
     write_report(table, folder / REPORT, solutions=solutions, title=title, **suites)

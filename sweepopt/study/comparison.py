@@ -25,7 +25,6 @@ from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
 from sweepopt.study.problems import Source, open_source
-from sweepopt.study.report import FORMAT
 from sweepopt.study.workers import one_thread
 from sweepopt.velocity import (
     DAQP,
@@ -43,6 +42,8 @@ from sweepopt.velocity import (
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+FORMAT: dict[str, Any] = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
+"""Of tables that are printed, by pandas."""
 ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
 CVXPY = read_toml(Path(__file__).with_suffix(".toml"))
 """Names of the tolerances, and limits, of the solvers of cvxpy."""

@@ -24,6 +24,7 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
+from sweepopt.study.comparison import FORMAT
 from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.workers import machine
@@ -31,8 +32,6 @@ from sweepopt.study.workers import machine
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-FORMAT: dict[str, Any] = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
-"""Of tables that are printed, by pandas."""
 TARGETS = (1e-2, 1e-4, 1e-6)
 AXES = {
     "more steps": ("steps", False),
@@ -263,7 +262,7 @@ def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
     import pandas as pd
 
     table = pd.DataFrame(rows)
-    title, text = str(getdoc(SUITES[name])).split("\n\n")[:2]
+    title, text = str(getdoc(SUITES[name][0])).split("\n\n")[:2]
     good = table.verdict.isin(GOOD)
     return [
         f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,7 @@ from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
-from sweepopt.study.hard import SUITES, each
+from sweepopt.study.hard import SUITES, each, option
 from sweepopt.study.problems import Source, find_source
 from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
@@ -173,13 +174,13 @@ def read_study(path: str | Path) -> Study:
 
 
 def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The keys of a study's file, and its tables of other kinds as records by name."""
-    data = read_toml(path)
-    return data, {
-        name: from_table(f"{path}: {name}.", kind, data.pop(name))
-        for name, kind in SUITES.items()
-        if name in data
-    }
+    """The keys of a study's file, and the rows of its suites by name, which are to be computed."""
+    data, rows = read_toml(path), {}
+    for name, (suite, _) in SUITES.items():
+        if name in data:
+            where = f"{path}: {name}."
+            rows[name] = from_table(where, suite, data.pop(name), partial(option, suite, where))
+    return data, rows
 
 
 def run(

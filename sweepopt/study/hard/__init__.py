@@ -5,17 +5,20 @@ judged by exact velocities; trajectories, judged by exact ones; stiff bodies, on
 scheme is judged by the best of three.
 """
 
+from typing import Any
+
 from sweepopt.study.hard.exact import Program
-from sweepopt.study.hard.stiff import StiffStudy
-from sweepopt.study.hard.suite import GOOD, Suite, each, suite_summary
-from sweepopt.study.hard.trajectories import TrajectoryStudy
-from sweepopt.study.hard.velocities import FAMILIES, HardStudy
+from sweepopt.study.hard.stiff import stiff_bodies
+from sweepopt.study.hard.suite import GOOD, each, option, suite_summary
+from sweepopt.study.hard.trajectories import hard_trajectories
+from sweepopt.study.hard.velocities import FAMILIES, hard_programs
 
-SUITES: dict[str, type[Suite]] = {
-    "hard": HardStudy,
-    "trajectories": TrajectoryStudy,
-    "stiff": StiffStudy,
+SUITES: dict[str, Any] = {
+    "hard": (hard_programs, ["family"]),
+    "trajectories": (hard_trajectories, ["trajectory"]),
+    "stiff": (stiff_bodies, ["body", "load", "mu_Lam", "scheme"]),
 }
-"""By the names of their tables in a study's file, which are those of the files of their rows."""
+"""Suites by the names of their tables in a study's file, which are those of the files of their
+rows, and the columns by which rows are grouped where they are printed."""
 
-__all__ = ["FAMILIES", "GOOD", "SUITES", "Program", "each", "suite_summary"]
+__all__ = ["FAMILIES", "GOOD", "SUITES", "Program", "each", "option", "suite_summary"]

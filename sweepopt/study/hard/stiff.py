@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -20,7 +19,7 @@ from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.study.cell import REFINED, largest_norm, reference_states
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.suite import Judgement, Suite, run_case
+from sweepopt.study.hard.suite import Judgement, run_case
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
@@ -116,8 +115,14 @@ def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> Sweeping
     return SweepingProcess(factor * A, B, Moving(C, Separable(terms)), u0)
 
 
-@dataclass(frozen=True)
-class StiffStudy(Suite):
+def stiff_bodies(
+    seeds: Sequence[int] = (0,),
+    bodies: Sequence[str] = tuple(BODIES),
+    loads: Sequence[str] = tuple(LOADS),
+    stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf),
+    steps: Sequence[int] = (60,),
+    bounds: bool = True,
+) -> Iterator[StiffRow]:
     """Stiff bodies.
 
     Scheme "auto" beside the best of three: its error is at most twice theirs and below its bound,
@@ -132,30 +137,15 @@ class StiffStudy(Suite):
     steps : sequence of int
     bounds : bool
         Whether each run's error bound is computed.
+
+    Examples
+    --------
+    >>> row = next(stiff_bodies(bodies=["one mass"], loads=["sines"], stiffness=[1e6]))
+    >>> row.scheme, row.over_best < 2, row.false_sticks
+    ('sdirk32', True, 0)
     """
-
-    by = ("body", "load", "mu_Lam", "scheme")
-
-    seeds: Sequence[int] = (0,)
-    bodies: Sequence[str] = tuple(BODIES)
-    loads: Sequence[str] = tuple(LOADS)
-    stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
-    steps: Sequence[int] = (60,)
-    bounds: bool = True
-
-    def rows(self) -> Iterator[StiffRow]:
-        """Run the processes.
-
-        Examples
-        --------
-        >>> study = StiffStudy(bodies=["one mass"], loads=["sines"], stiffness=[1e6], bounds=False)
-        >>> row = next(study.rows())
-        >>> row.scheme, row.over_best < 2, row.false_sticks
-        ('sdirk32', True, 0)
-        """
-        lists = self.bodies, self.loads, self.seeds, self.stiffness, self.steps
-        for case in product(*lists):
-            yield judge(StiffRow(*case), make(*case), 1.0, self.bounds)
+    for case in product(bodies, loads, seeds, stiffness, steps):
+        yield judge(StiffRow(*case), make(*case), 1.0, bounds)
 
 
 def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> Any:

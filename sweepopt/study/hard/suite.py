@@ -1,12 +1,16 @@
-"""Suites of cases: what each takes from a study's file, its runs as rows with a verdict."""
+"""Suites of cases: what each takes from a study's file, its runs as rows with a verdict.
+
+A suite is a function of its options that yields named tuples with the fields seed, seconds and
+verdict; its docstring is shown in the report.
+"""
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from inspect import signature
+from typing import Any
 
 from sweepopt.checks import choice, count, listed, number
 from sweepopt.driver import solve
@@ -40,44 +44,25 @@ def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tup
     return tuple(entries.values())
 
 
-@dataclass(frozen=True)
-class Suite:
-    """The base of a table of a study's file; the class's own docstring is shown in the report.
+def option(suite: Callable[..., Any], where: str, key: str, value: Any) -> Any:
+    """An option of a suite, checked by its default.
 
-    What is not given is all that there is. A field whose default is a list of names takes some of
-    these names, one of whole numbers such numbers (0 if the default has it), one of other numbers
-    such > 0.
-
-    Attributes
-    ----------
-    by : tuple of str
-        Columns by which rows are grouped where they are printed.
+    One whose default is a list of names takes some of these names, one of whole numbers such
+    numbers (0 if the default has it), one of other numbers such > 0.
 
     Raises
     ------
     InputError
         Naming the key and the entry.
     """
-
-    by: ClassVar[tuple[str, ...]]
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            name, value = field.name, getattr(self, field.name)
-            default: Any = field.default
-            several = isinstance(default, tuple)
-            kind = type(default[0] if several else default)
-            least = int(several and 0 not in default)
-            checks: Any = {str: (choice, default), int: (count, least)}
-            check = checks.get(kind, (number, 0.0, True, False))
-            if several:
-                each(name, value, *check)
-            elif kind is not bool:
-                check[0](name, value, *check[1:])
-
-    def rows(self) -> Iterator[Any]:
-        """Run the cases: named tuples with the fields seed, seconds and verdict."""
-        raise NotImplementedError
+    default = signature(suite).parameters[key].default
+    several = isinstance(default, tuple)
+    kind = type(default[0] if several else default)
+    least = int(several and 0 not in default)
+    checks: Any = {str: (choice, default), int: (count, least), bool: (lambda _, value: value,)}
+    check, *limits = checks.get(kind, (number, 0.0, True, False))
+    name = f"{where}{key}"
+    return each(name, value, check, *limits) if several else check(name, value, *limits)
 
 
 def run_case(

@@ -12,7 +12,6 @@ adds is allowed in the size of its certificates and of rounding.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise, product
 from math import inf, nan
@@ -33,7 +32,7 @@ from sweepopt.results import Solution
 from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.suite import TARGET, Judgement, Suite, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, run_case
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
 ROUNDING = 64 * EPS  # of u and of f / B, which cancel where bodies are far from the origin
@@ -109,8 +108,8 @@ class Case:
         self.stiffness, A, self.g, load, period, self.offset = map(draw, DRAWN)
         self.mu_Lam, self.metric = float(self.stiffness.max()), A
         viscous = self.mu_Lam < inf
-        self.B: np.ndarray
-        self.A, self.B = (A, self.stiffness * A / self.mu) if viscous else (0 * A, A)
+        self.A = A if viscous else 0 * A
+        self.B = self.stiffness * A / self.mu if viscous else A
         compliance = np.divide(1.0, self.B, out=0 * A, where=self.B > 0)
         self.center = compliance * self.offset
         self.scale: Any = Constant(1.0)
@@ -165,8 +164,12 @@ class Case:
         return "UnstableStepError" if tableau.explicit and self.mu_Lam > 2 else ""
 
 
-@dataclass(frozen=True)
-class TrajectoryStudy(Suite):
+def hard_trajectories(
+    seeds: Sequence[int] = (0,),
+    trajectories: Sequence[str] = tuple(TRAJECTORIES),
+    schemes: Sequence[str] = ("auto", *SCHEMES),
+    tol: float = 1e-9,
+) -> Iterator[TrajectoryRow]:
     """Hard trajectories.
 
     Runs beside exact trajectories: the error is that of the scheme's order, bounds lie above it,
@@ -181,38 +184,27 @@ class TrajectoryStudy(Suite):
     schemes : sequence of str
     tol : float
         What `solve` is asked for.
+
+    Examples
+    --------
+    >>> row = next(hard_trajectories(trajectories=["ordinary"], schemes=["midpoint"]))
+    >>> row.verdict, row.error <= row.allowed
+    ('met', True)
     """
-
-    by = ("trajectory",)
-
-    seeds: Sequence[int] = (0,)
-    trajectories: Sequence[str] = tuple(TRAJECTORIES)
-    schemes: Sequence[str] = ("auto", *SCHEMES)
-    tol: float = 1e-9
-
-    def rows(self) -> Iterator[TrajectoryRow]:
-        """Run each trajectory through the schemes.
-
-        Examples
-        --------
-        >>> row = next(TrajectoryStudy(trajectories=["ordinary"], schemes=["midpoint"]).rows())
-        >>> row.verdict, row.error <= row.allowed
-        ('met', True)
-        """
-        for name, seed in product(self.trajectories, self.seeds):
-            case = Case(TRAJECTORIES[name], np.random.default_rng([seed, *name.encode()]))
-            for scheme in self.schemes:
-                yield run_case(
-                    TrajectoryRow(name, seed, scheme, len(case.t) - 1, case.mu_Lam),
-                    case.process,
-                    partial(_judge, case),
-                    case.expected_refusal(scheme),
-                    "InputError" if scheme == "exact" else "",  # it treats what it can
-                    t_end=float(case.t[-1]),
-                    steps=len(case.t) - 1,
-                    scheme=scheme,
-                    tol=self.tol,
-                )
+    for name, seed in product(trajectories, seeds):
+        case = Case(TRAJECTORIES[name], np.random.default_rng([seed, *name.encode()]))
+        for scheme in schemes:
+            yield run_case(
+                TrajectoryRow(name, seed, scheme, len(case.t) - 1, case.mu_Lam),
+                case.process,
+                partial(_judge, case),
+                case.expected_refusal(scheme),
+                "InputError" if scheme == "exact" else "",  # it treats what it can
+                t_end=float(case.t[-1]),
+                steps=len(case.t) - 1,
+                scheme=scheme,
+                tol=tol,
+            )
 
 
 def _judge(case: Case, solution: Solution, warned: bool) -> Judgement:

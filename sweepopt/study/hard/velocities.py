@@ -6,8 +6,7 @@ names what it is made of, and a seed makes it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from itertools import product
 from math import nan
@@ -24,7 +23,7 @@ from sweepopt.sets import Moving, image
 from sweepopt.study.hard import bodies
 from sweepopt.study.hard.bodies import Random, between, chain, spectral
 from sweepopt.study.hard.exact import Exact, Program
-from sweepopt.study.hard.suite import TARGET, Judgement, Suite, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, run_case
 
 Names = Sequence[str]
 
@@ -182,8 +181,14 @@ class HardRow(NamedTuple):
     verdict: str = ""
 
 
-@dataclass(frozen=True)
-class HardStudy(Suite):
+def hard_programs(
+    seeds: Sequence[int] = (0,),
+    families: Sequence[str] = tuple(FAMILIES),
+    solvers: Sequence[str] = SOLVERS,
+    paths: Sequence[str] = PATHS,
+    combinations: int = 8,
+    tol: float = 1e-9,
+) -> Iterator[HardRow]:
     """Hard cases.
 
     Programs on which solvers alone fail, through every path and solver. Of each run the worst step,
@@ -194,69 +199,58 @@ class HardStudy(Suite):
     seeds : sequence of int
         Whole numbers >= 0; each makes every family anew.
     families, solvers, paths : sequence of str
+        A solver or a path that cannot treat a case leaves no row.
     combinations : int
         How many cases are drawn by chance for each seed.
     tol : float
         What `solve` is asked for.
+
+    Examples
+    --------
+    >>> row = next(hard_programs(families=["threshold"], solvers=["auto"]))
+    >>> row.verdict, row.error < 1e-12
+    ('met', True)
     """
+    cases: list[Any] = [
+        (name, seed, FAMILIES[name], np.random.default_rng(seed))
+        for name, seed in product(families, seeds)
+    ]
+    for seed, k in product(seeds, range(combinations)):
+        random = np.random.default_rng([seed, k])
+        cases.append((f"combination {k}", seed, combination(random), random))
+    for case in cases:
+        yield from _runs(product(paths, solvers), tol, *case)
 
-    by = ("family",)
 
-    seeds: Sequence[int] = (0,)
-    families: Sequence[str] = tuple(FAMILIES)
-    solvers: Sequence[str] = SOLVERS
-    paths: Sequence[str] = PATHS
-    combinations: int = 8
-    tol: float = 1e-9
+def _runs(
+    methods: Iterable[Any], tol: float, name: str, seed: int, names: Names, random: Random
+) -> Iterator[HardRow]:
+    (t_end, steps, *_), process = entry_of(HISTORIES, names), make(names, random)
+    mu = t_end / steps
+    program = Program(process.A, process.B, mu)
 
-    def rows(self) -> Iterator[HardRow]:
-        """Run the cases.
+    @cache
+    def exact(t: float, *u: float) -> Exact:
+        # the time as a step makes it: a load may change within a rounding unit of t
+        return program.solve(np.array(u), process.C.at(t + mu))
 
-        A solver or a path that cannot treat a case leaves no row.
-
-        Yields
-        ------
-        HardRow
-
-        Examples
-        --------
-        >>> row = next(HardStudy(families=["threshold"], solvers=["auto"]).rows())
-        >>> row.verdict, row.error < 1e-12
-        ('met', True)
-        """
-        for name, seed in product(self.families, self.seeds):
-            yield from self._runs(name, seed, FAMILIES[name], np.random.default_rng(seed))
-        for seed, k in product(self.seeds, range(self.combinations)):
-            random = np.random.default_rng([seed, k])
-            yield from self._runs(f"combination {k}", seed, combination(random), random)
-
-    def _runs(self, name: str, seed: int, names: Names, random: Random) -> Iterator[HardRow]:
-        (t_end, steps, *_), process = entry_of(HISTORIES, names), make(names, random)
-        mu = t_end / steps
-        program = Program(process.A, process.B, mu)
-
-        @cache
-        def exact(t: float, *u: float) -> Exact:
-            # the time as a step makes it: a load may change within a rounding unit of t
-            return program.solve(np.array(u), process.C.at(t + mu))
-
-        refused = "EmptySetError" if EMPTY in names else ""
-        answer = f"refuse: {refused}" if refused else ""
-        for path, solver in product(self.paths, self.solvers):
-            row = run_case(
-                HardRow(name, seed, path, solver, ", ".join(names), answer),
-                process.as_sweeping,
-                partial(_judge, program, exact),
-                refused,
-                t_end=t_end,
-                steps=steps,
-                scheme="implicit-euler",
-                solver=solver,
-                tol=self.tol,
-                path=path,
-            )
-            if row:
-                yield row
+    refused = "EmptySetError" if EMPTY in names else ""
+    answer = f"refuse: {refused}" if refused else ""
+    for path, solver in methods:
+        row = run_case(
+            HardRow(name, seed, path, solver, ", ".join(names), answer),
+            process.as_sweeping,
+            partial(_judge, program, exact),
+            refused,
+            t_end=t_end,
+            steps=steps,
+            scheme="implicit-euler",
+            solver=solver,
+            tol=tol,
+            path=path,
+        )
+        if row:
+            yield row
 
 
 def _judge(program: Program, exact: Callable[..., Exact], solution: Solution, _: bool) -> Judgement:
