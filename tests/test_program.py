@@ -281,7 +281,7 @@ def test_bounds_out_of_reach_blind_no_solver(kind):
     assert velocity(chain, q, far(kind), tol=1e-9).relative <= 1e-9
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, 26, 31, 43])
 def test_the_certificate_of_a_long_thin_ellipsoid_is_not_below_the_error(seed):
     rng, corner = np.random.default_rng(seed), 1.0 * np.array([1, 1, -1, -1])
     # p is an eigenvector of the shape, so that w = c + p / |p|: all of these numbers are exact

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.linalg.cholesky import InBlocks
+from sweepopt.linalg.cholesky import InBlocks, factorised
 from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, kernel, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
@@ -33,6 +33,7 @@ __all__ = [
     "exact_sum",
     "exceeds_none",
     "factor_bytes",
+    "factorised",
     "is_diagonal",
     "is_semidefinite",
     "is_solid",

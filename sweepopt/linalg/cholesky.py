@@ -87,8 +87,10 @@ class Cholesky:
         return self.backward(y)
 
 
-def cholesky(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
-    """A sparse M factorised; the last m unknowns of a given order have their block of L at hand."""
+def factorised(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
+    """M factorised; of a sparse one the last m unknowns of an order have their block of L."""
+    if not sp.issparse(M):
+        return lapack_factor(M)
     return (cholmod if M.shape[0] <= LIMIT and has_cholmod() else superlu)(M, order, m)
 
 
@@ -159,7 +161,7 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
     lower = triangle(M)
     order = fill_reducing(M) if order is None else order
 
-    def factorised() -> Any:
+    def made() -> Any:
         """The factor in this order and no other."""
         with _settings(SETTINGS):
             factor = cholmod.symbolic(lower, matrix(order.astype(np.int64)))
@@ -168,8 +170,8 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
 
     tail = np.zeros((0, 0))
     if m:  # of a factor of its own, which getfactor empties, and before the other is in memory
-        tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
-    factor = factorised()
+        tail = np.array(matrix(cholmod.getfactor(made())[-m:, -m:]))
+    factor = made()
     system = partial(_system, factor)
     D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
     root, pivots = np.sqrt(np.abs(D)), D

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
-from sweepopt.linalg.cholesky import Cholesky, cholesky, has_cholmod, lapack_factor
+from sweepopt.linalg.cholesky import Cholesky, factorised, has_cholmod
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 from sweepopt.linalg.definiteness import MARGINS, dominates
 from sweepopt.linalg.matrices import (
@@ -290,10 +290,10 @@ def _engine(
                 f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: {error}"
             ) from error
     if kept is None:
-        return cholesky(M, order) if sp.issparse(M) else lapack_factor(M)
+        return factorised(M, order)
     M = sp.csc_array(M)
-    order = cholesky(M).order if order is None else order
-    return cholesky(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)
+    order = factorised(M).order if order is None else order
+    return factorised(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)
 
 
 def factor_bytes(M: Matrix) -> float:

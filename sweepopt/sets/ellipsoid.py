@@ -8,7 +8,7 @@ import numpy as np
 
 from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
-from sweepopt.linalg import dense
+from sweepopt.linalg import Precise, dense
 from sweepopt.sets.balls import norms_below
 from sweepopt.sets.base import RANK, ConvexSet, Features, NormalPair, binary, same_array
 
@@ -48,6 +48,7 @@ class Ellipsoid(ConvexSet):
             )
         # by a factor, as eigenvectors round the short axes most
         self._set(center, 1.0, np.linalg.cholesky(shape).T)
+        self._times_shape = Precise(shape)
 
     def _set(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
         """{ center + radius root^T s : |s| <= 1 }."""
@@ -108,9 +109,10 @@ class Ellipsoid(ConvexSet):
         pair = super().normal_pair(p, w, tau)
         if pair is None or not pair.p.any():
             return pair
-        # the point with this normal by the root itself: axes are rounded, the short ones most
-        arm = self.root @ pair.p
-        return pair._replace(w=self.center + (arm / np.linalg.norm(arm)) @ self.root)
+        # the point with this normal by the shape itself: axes and roots are rounded, and short axes
+        # beside long ones are lost in plain products
+        arm = self._times_shape(pair.p)
+        return pair._replace(w=self.center + arm / np.sqrt(pair.p @ arm))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -15,29 +15,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix, count
-from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
+from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Lifted, Polyhedron, Start, shape_of
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
-# of the residual, left by a step with the tangent of another point: such steps cost a sixth of one
-# with a new tangent, and where its residual falls so far the tangent is as near
-KEPT = 1e-3
+# of the residual, left by a step with the tangent of another point: such steps cost a fifth of one
+# with a new tangent; of 1e-4 to 0.2 this takes the least time on problems/tread.toml
+KEPT = 1e-2
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
-
-STEEPEST = 1e8  # of (I - D)^-1: a symmetric system loses as many digits
-
-SolveLinear = Callable[[np.ndarray], np.ndarray]
+# a step with it leaves 1e-6 of the residual; with 1e-8 a hull in units from 1e-6 to 1e6 misses 1e-9
+NEARLY = 1 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -96,7 +92,8 @@ class _Iteration:
     def __init__(self, M: Factor, max_iter: int) -> None:
         self._M, self._max_iter = M, max_iter
         self._z = np.zeros(M.dim)
-        self._last: tuple[bytes, Any] = b"", None
+        self._key: bytes = b""
+        self._step: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda z, residual: z
         self._metric: tuple[ConvexSet | None, Any] = None, None
         self._start: Start | None = None
 
@@ -147,107 +144,60 @@ class _Iteration:
                 continue
             if stalled == PATIENCE and not damped:
                 break
-            kept = not iteration or size < KEPT * smallest
-            smallest = min(smallest, size)
-            D = C.blocks(v)
-            if D is None:
-                break
-            try:
-                following = self._following(D, T, z, residual, kept)
-            except (scipy.linalg.LinAlgError, RuntimeError):  # singular
-                break
+            if not self._key or (iteration and size >= KEPT * smallest):
+                D = C.blocks(v)
+                if D is None or not self._turn(D, T):
+                    break
+            following = self._step(z, residual)
+            if C.block == 1:
+                following[following * z < 0] = 0.0
             if not math.isfinite(following @ following):
                 break
-            start, change, share = z, following - z, 1.0
+            smallest, start, change, share = min(smallest, size), z, following - z, 1.0
             z, iteration = following, iteration + 1
         return z, False, iteration
 
-    def _following(
-        self, D: list[Blocks], T: np.ndarray, z: np.ndarray, residual: np.ndarray, kept: bool
-    ) -> np.ndarray:
-        """z + dz, with the last tangent if it may be kept; entries of a box do not reverse."""
+    def _turn(self, D: list[Blocks], T: np.ndarray) -> bool:
+        """Whether there is a tangent for the derivative D."""
         key = b"".join(block.tobytes() for _, block in D)
-        if key != self._last[0] and not (kept and self._last[0]):
-            self._last = key, self._tangent(D, T)
-        stuck, solve = self._last[1]
-        following = np.where(stuck, 0.0, z)
-        following[~stuck] += solve(residual[~stuck], z[stuck])
-        if all(block.shape[1] == 1 for _, block in D):
-            following[following * z < 0] = 0.0
+        if key != self._key:
+            self._key = b""
+            try:
+                self._step = _tangent(self._M.M, D, T)
+            except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):  # singular
+                return False
+        self._key = key
+        return True
+
+
+def _tangent(M: Matrix, D: list[Blocks], T: np.ndarray) -> Callable[..., np.ndarray]:
+    """(z, residual) -> z + dz, 0 where D says that it sticks.
+
+    The matrix for the others is M + T ((I - D)^-1 - I), which is symmetric; an eigenvalue 1 of D,
+    as projectors have it, counts as NEARLY 1.
+    """
+    J, free, inverses = M.copy(), np.zeros(len(T), dtype=bool), []
+    for at, block in D:
+        one = np.eye(block.shape[1])
+        some = (block != one).any(axis=(1, 2))
+        at, inverse = at[some], np.linalg.inv(one - NEARLY * block[some])
+        free[at] = True
+        inverses.append((at, inverse))
+        rows, columns = at[:, :, None], at[:, None]
+        entries = T[rows] * (inverse - one)
+        if sp.issparse(J):
+            places = [np.broadcast_to(x, entries.shape).ravel() for x in (rows, columns)]
+            J = J + sp.csr_array((entries.ravel(), places), J.shape)
+        else:
+            J[rows, columns] += entries
+    solve = factorised(J[free][:, free]).solve if free.any() else np.copy
+
+    def step(z: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        following = np.where(free, z, 0.0)
+        right = M @ (z - following)
+        for at, inverse in inverses:
+            right[at] += np.einsum("kij,kj->ki", inverse, residual[at])
+        following[free] += solve(right[free])
         return following
 
-    def _tangent(self, D: list[Blocks], T: np.ndarray) -> tuple[np.ndarray, Any]:
-        """What sticks, and (residual of the others, z of what sticks) -> dz of the others."""
-        M = self._M.M
-        if not sp.issparse(M):
-            soft = self._symmetric(M, D, T)
-            if soft is not None:
-                return soft
-        P = _matrix(D, M.shape[0])
-        stuck = (P.diagonal() == 1) & (abs(P).sum(axis=1) == 1)
-        free = ~stuck
-        P = P[free]
-        rows = M[free] - P @ M + P * T
-        beside = rows[:, stuck]
-        # in units of T: pivots are chosen by size
-        units = 1 / np.sqrt(T[free])
-        solve = _factorised(rows[:, free] * units * units[:, None]) if free.any() else np.copy
-        return stuck, lambda right, z: units * solve(units * (right + beside @ z))
-
-    def _symmetric(self, M: np.ndarray, D: list[Blocks], T: np.ndarray) -> Any:
-        """The same of a dense M from M + T ((I - D)^-1 - I), whose factors cost half of others.
-
-        None where a block, such as a projector, has an eigenvalue near 1 and does not stick, and
-        where all stick.
-        """
-        free, inverses = np.zeros(len(M), dtype=bool), []
-        for at, block in D:
-            less = np.eye(block.shape[1]) - block
-            moves = less.any(axis=(1, 2))
-            try:
-                inverse = np.linalg.inv(less[moves])
-            except np.linalg.LinAlgError:
-                return None
-            if not (np.abs(inverse) < STEEPEST).all():
-                return None
-            free[at[moves]] = True
-            inverses.append((at[moves], inverse))
-        if not free.any():
-            return None
-        J, place = M[np.ix_(free, free)], np.cumsum(free) - 1
-        for at, inverse in inverses:
-            more = T[at][:, :, None] * (inverse - np.eye(inverse.shape[1]))
-            J[place[at][:, :, None], place[at][:, None]] += more
-        lower, failed = scipy.linalg.lapack.dpotrf(J.T, lower=1, overwrite_a=1)
-        if failed:
-            return None
-
-        def solve(right: np.ndarray, z: np.ndarray) -> np.ndarray:
-            scaled = M[np.ix_(free, ~free)] @ z if z.any() else np.zeros_like(right)
-            for at, inverse in inverses:
-                scaled[place[at]] += np.einsum("kij,kj->ki", inverse, right[place[at]])
-            change: np.ndarray = scipy.linalg.lapack.dpotrs(lower, scaled, lower=1)[0]
-            return change
-
-        return ~free, solve
-
-
-def _factorised(J: Matrix) -> SolveLinear:
-    """b -> the solution of J x = b."""
-    if sp.issparse(J):
-        return spla.splu(sp.csc_array(J)).solve
-    lu, pivots, singular = scipy.linalg.lapack.dgetrf(J)
-    if singular:
-        raise scipy.linalg.LinAlgError("a pivot is 0")
-    return partial(scipy.linalg.lu_solve, (lu, pivots), check_finite=False)
-
-
-def _matrix(D: list[Blocks], n: int) -> sp.csr_array:
-    """The blocks in one matrix."""
-    parts = [
-        (block.ravel(), *(np.broadcast_to(index, block.shape).ravel() for index in indices))
-        for at, block in D
-        for indices in [(at[:, :, None], at[:, None])]
-    ]
-    entries, rows, columns = map(np.concatenate, zip(*parts, strict=True))
-    return sp.csr_array((entries, (rows, columns)), (n, n))
+    return step
