@@ -18,12 +18,13 @@ from sweepopt.integrate.grid import (
     divided,
     time_grid,
 )
-from sweepopt.integrate.loop import Observer, integrate
-from sweepopt.integrate.observers import (
+from sweepopt.integrate.loop import (
     Callback,
+    Observer,
     ProgressBar,
     SaveFunction,
     StepInfo,
+    integrate,
     observer,
 )
 from sweepopt.integrate.options import SolveOptions

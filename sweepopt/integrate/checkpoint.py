@@ -29,8 +29,7 @@ from sweepopt.errors import (
     warn,
 )
 from sweepopt.integrate.fingerprint import fingerprint
-from sweepopt.integrate.json_arrays import decoded, encoded
-from sweepopt.integrate.options import SolveOptions
+from sweepopt.integrate.options import SolveOptions, decoded, encoded
 from sweepopt.integrate.record import Grid, Run
 from sweepopt.io import locked, read_npz, remove_parts, versions_of, writable, write_npz
 from sweepopt.problem import SweepingProcess

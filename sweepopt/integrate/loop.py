@@ -1,4 +1,4 @@
-"""The only loop over time: a velocity for each stage, a compensated sum for each step.
+"""The only loop over time: a velocity for each stage, a compensated sum for each step; who sees it.
 
 t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
 """
@@ -6,13 +6,15 @@ t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import blas
 
 from sweepopt.checks import HUGE
-from sweepopt.errors import Status
+from sweepopt.display import by_parts
+from sweepopt.errors import InputError, Status, brought_by, shown
 from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.grid import by_steps
 from sweepopt.integrate.record import Run
@@ -127,3 +129,79 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
     elif not process.C.at(t).exact:
         likely = "C(t) is nearly empty, or its projection is not exact enough"
     return f"{best}{tried}. {likely}; loosen tol, take smaller steps or another solver"
+
+
+class StepInfo(NamedTuple):
+    """What a callback sees after a step: its index, end time, state, velocity, certificate.
+
+    The certificate is that of `Solution.stats`: the worst of the programs that the step solved.
+    """
+
+    step: int
+    t: float
+    u: np.ndarray
+    velocity: np.ndarray
+    certificate: float
+
+    def __repr__(self) -> str:
+        return by_parts(self)
+
+
+Callback = Callable[[StepInfo], "bool | None"]
+SaveFunction = Callable[[float, np.ndarray, np.ndarray], Any]
+
+
+class ProgressBar:
+    """A progress bar, or nothing where `visible` is false.
+
+    Raises
+    ------
+    MissingExtraError
+        If tqdm is not installed.
+    """
+
+    def __init__(self, visible: bool, steps: int | None, done: int = 0) -> None:
+        self._bar: Any = None
+        if visible:
+            with brought_by("fem"):
+                from tqdm.auto import tqdm
+            self._bar = tqdm(total=steps, initial=done, unit="step")
+
+    def update(self) -> None:
+        if self._bar is not None:
+            self._bar.update()
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+def observer(
+    bar: ProgressBar,
+    watchers: Sequence[Callable[[StepInfo], Any]],
+    plan: Plan,
+    times: np.ndarray,
+) -> Observer:
+    """What the loop calls after each step: the bar, then the watchers, who see all unknowns.
+
+    A watcher that answers with a true value stops the run.
+    """
+
+    def observe(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool:
+        bar.update()
+        if not watchers:
+            return False
+        u, z = plan.state(u).copy(), plan.velocity(z).copy()
+        step = StepInfo(i, float(times[i + 1]), u, z, certificate)
+        for watcher in watchers:
+            answer = watcher(step)
+            try:
+                if answer:
+                    return True
+            except (TypeError, ValueError) as error:
+                raise InputError(
+                    "callback must return True to stop the run, or nothing; got " + shown(answer)
+                ) from error
+        return False
+
+    return observe

@@ -385,7 +385,7 @@ class Solution(Displayed):
         For any Lipschitz v with v(t_0) = u0 and any w(t) in C(t), with r = A v' + B v - w and
         G = sigma(C(t), -v') + <v', w>,
 
-            |u - v|_A (t) <= int K(t - s) sqrt(2 G + |r|^2) ds    (|r| in the dual norm of A),
+            |u - v|_A (t) <= K(t) int sqrt(2 G + |r|^2)    (|r| in the dual norm of A),
             |u - v|_B^2 (t) <= int 2 G + |r|^2 / 2,
 
         K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2)), nu = (Lam - lam)^2 / (8 (Lam + lam)), with
