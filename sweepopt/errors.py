@@ -29,9 +29,10 @@ def shown(value: object) -> str:
 
 
 def suggestion(word: object, known: Iterable[str]) -> str:
-    """The known word that is nearest to an unknown one, as the end of a message."""
-    near = get_close_matches(word, list(known), 1) if isinstance(word, str) else []
-    return f"; did you mean {near[0]}?" if near else ""
+    """The known word that is nearest to an unknown one in any case, as the end of a message."""
+    words = {one.lower(): one for one in known}
+    near = get_close_matches(word.lower(), words, 1) if isinstance(word, str) else []
+    return f"; did you mean {words[near[0]]}?" if near else ""
 
 
 def called(function: Callable[[Any], Any], argument: Any, name: str) -> Any:
