@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,15 +29,24 @@ def shown(value: object) -> str:
 
 
 def suggestion(word: object, known: Iterable[str]) -> str:
-    """The known word that is nearest to an unknown one, as the end of a message."""
-    near = get_close_matches(word, list(known), 1) if isinstance(word, str) else []
-    return f"; did you mean {near[0]}?" if near else ""
+    """The known word that is nearest to an unknown one in any case, as the end of a message."""
+    words = {one.lower(): one for one in known}
+    near = get_close_matches(word.lower(), words, 1) if isinstance(word, str) else []
+    return f"; did you mean {words[near[0]]}?" if near else ""
 
 
-def noted(error: Exception, function: str) -> None:
-    """Note on what a user's function raised which one it was; errors of ours say it already."""
-    if not isinstance(error, SweepoptError) and not hasattr(error, "__notes__"):
-        error.add_note(f"This was raised in the function that was given for {function}.")
+def called(function: Callable[[Any], Any], argument: Any, name: str) -> Any:
+    """What a user's function gives; on what it raises is noted which one it was, and at what time.
+
+    Errors of ours say it already.
+    """
+    try:
+        return function(argument)
+    except Exception as error:
+        if not isinstance(error, SweepoptError) and not hasattr(error, "__notes__"):
+            time = f", at t = {argument:g}" if isinstance(argument, (int, float)) else ""
+            error.add_note(f"This was raised in the function that was given for {name}{time}.")
+        raise
 
 
 class Status(Enum):

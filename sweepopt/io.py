@@ -144,12 +144,12 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
     names = time, *others
     for name in names:
         if header.count(name) != 1:
-            fault = "is there twice" if name in header else "is missing"
-            # not what there is: a scene of a stranger may name any file
-            mark = re.search("[;\t]", header[0]) if len(header) == 1 else None
-            hint = (
-                f"; it is separated by {mark[0]!r}, write commas between the cells" if mark else ""
-            )
+            found = name in header
+            fault = "is there twice" if found else "is missing"
+            # not all that there is: a scene of a stranger may name any file
+            hint = "" if found else suggestion(name, header)
+            if len(header) == 1 and (mark := re.search("[;\t]", header[0])):
+                hint = f"; it is separated by {mark[0]!r}, write commas between the cells"
             raise InputError(
                 f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
             )

@@ -158,7 +158,11 @@ def test_the_time_column_of_a_csv_may_have_any_name(tmp_path, header):
     [
         ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names$"),
         ("0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names$"),
-        ("t,f2,f2\n0,1,1\n1,2,2\n", "log.csv: column 'f2' is there twice"),
+        ("t,F2\n0,1\n1,2\n", r"'f2' is missing among its 2 column names; did you mean F2\?"),
+        (
+            "t,f2,f2\n0,1,1\n1,2,2\n",
+            "log.csv: column 'f2' is there twice among its 3 column names$",
+        ),
         ("", "log.csv: column 't' is missing among its 0"),
         ("t,f2\n0,1\n", "log.csv: 1 data rows"),
         ("# units\nt,f2\n0,1\n1,\n", r"log.csv, column 'f2', row 4: '' is not a finite number"),

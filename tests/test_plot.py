@@ -134,7 +134,7 @@ def test_several_boundaries_share_one_picture(tmp_path):
     figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
     zone, moved, *_ = figure.axes
-    assert zone.get_ylabel() == "arc length of bottom, left"
+    assert zone.get_ylabel() == "arc length along bottom, left"
     labels = " ".join(text.get_text() for text in moved.get_legend().get_texts())
     assert "bottom" in labels
     assert "left" in labels

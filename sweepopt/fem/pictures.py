@@ -266,7 +266,7 @@ def _place(slip: Slip) -> tuple[Array, str]:
     """Where the nodes of a contact are, along its boundaries or over x, and the name of that."""
     if not slip.contact.on_curve:
         return slip.contact.points[:, 0], "x"
-    return slip.contact.arc, f"arc length of {', '.join(dict.fromkeys(slip.contact.boundary))}"
+    return slip.contact.arc, f"arc length along {', '.join(dict.fromkeys(slip.contact.boundary))}"
 
 
 def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: Any) -> Any:

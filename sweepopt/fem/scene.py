@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from sweepopt.checks import at_path, choice, count, listed, matrix, number, symmetric, vector
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import InputError, noted, shown
+from sweepopt.errors import InputError, called, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
@@ -507,12 +507,7 @@ def _contribution(
     if not (own or label.startswith("effects.")):
         label = f"{type(effect).__name__}: {label}"
     with at_path(f"{label}."):
-        try:
-            part = effect.contribute(space)
-        except Exception as error:  # whatever a user's effect raises
-            noted(error, f"{label}.contribute")
-            raise
-        part = _checked(part, space.dim)
+        part = _checked(called(effect.contribute, space, f"{label}.contribute"), space.dim)
     for name in ("history", "moved"):
         if (history := getattr(effect, name, None)) is not None and t_end is not None:
             with at_path(f"{label}.{name}."):

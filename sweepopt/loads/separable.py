@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sweepopt.checks import instant
-from sweepopt.errors import InputError, noted, shown
+from sweepopt.errors import InputError, called, shown
 from sweepopt.loads.history import Array, History, breakpoints, read_only
 
 
@@ -90,11 +90,7 @@ class Separable:
 
     def value(self, k: int, t: float) -> float:
         """phi_k(t)."""
-        try:
-            value = self.terms[k][0](t)
-        except Exception as error:  # whatever a user's function raises
-            noted(error, f"terms[{k}][0], at t = {t:g}")
-            raise
+        value = called(self.terms[k][0], t, f"terms[{k}][0]")
         try:
             return instant("phi", value)
         except InputError as error:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import dimension, instant, number, symmetric, vector
-from sweepopt.errors import InputError, noted, shown
+from sweepopt.errors import InputError, called, shown
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
@@ -124,15 +124,12 @@ class MovingSet(Operators):
 
     def _member(self, t: float) -> ConvexSet:
         try:
-            C = self._at(t)
+            C = called(self._at, t, "C(t)")
         except InputError as error:
             where = f"C(t) at t = {t:g}"
             if str(error).startswith(where):
                 raise
             raise type(error)(f"{where}: {error}") from error
-        except Exception as error:  # whatever a user's function raises
-            noted(error, f"C(t), at t = {t:g}")
-            raise
         if not isinstance(C, ConvexSet):
             raise InputError(
                 f"C(t) at t = {t:g} must be a set, got {type(C).__name__}; a function that says "
@@ -218,12 +215,8 @@ class Moving(MovingSet):
         t = instant("t", t)
         if self.center is None:
             return np.zeros(self.dim)
-        try:
-            value = self.center(t)
-        except Exception as error:
-            noted(error, f"{self.center_name}(t), at t = {t:g}")
-            raise
-        return vector(f"{self.center_name}(t) at t = {t:g}", value, self.dim)
+        name = f"{self.center_name}(t)"
+        return vector(f"{name} at t = {t:g}", called(self.center, t, name), self.dim)
 
     def scale_at(self, t: float) -> float:
         """scale(t)."""
@@ -231,12 +224,7 @@ class Moving(MovingSet):
         if self.scale is None:
             return 1.0
         name = f"scale(t) at t = {t:g}"
-        try:
-            value = self.scale(t)
-        except Exception as error:
-            noted(error, f"scale(t), at t = {t:g}")
-            raise
-        return number(name, instant(name, value), minimum=0.0)
+        return number(name, instant(name, called(self.scale, t, "scale(t)")), minimum=0.0)
 
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:

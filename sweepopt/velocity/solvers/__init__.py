@@ -60,7 +60,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
         if solver not in REGISTRY and not (name == "cvxpy" and engine):
             raise SolverRefusedError(
                 f"solver {shown(solver)} is not known; use auto, {_names()} or cvxpy:NAME for one "
-                f"that cvxpy knows, such as cvxpy:scs{suggestion(solver.lower(), REGISTRY)}"
+                f"that cvxpy knows, such as cvxpy:scs{suggestion(solver, REGISTRY)}"
             )
         solver = Cvxpy(engine.upper()) if engine else _made(REGISTRY[name], C, tol)
     if isinstance(solver, type):
