@@ -90,11 +90,11 @@ def solve(
     scheme : str
         "auto" (sdirk2 where mu Lam <= 2 for the longest step, else sdirk32, in parts where a step
         contains breakpoints of a load that is data, unless they are too many; with Adaptive
-        midpoint, or sdirk2 when A = 0; the plan says which one and why), or by name, on the steps
-        as they are: "catching-up", "implicit-euler",
-        "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where
-        mu Lam > 2 and much stops); "exact" for polyhedra and loads as data (`Separable`): closed
-        forms between switches that are located, in `Solution.exact` also between the nodes.
+        sdirk2; the plan says which one and why), or by name, on the steps as they are:
+        "catching-up", "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2",
+        "sdirk32" (3 programs a step, 7 where mu Lam > 2 and much stops); "exact" for polyhedra and
+        loads as data (`Separable`): closed forms between switches that are located, in
+        `Solution.exact` also between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy:NAME" for any that cvxpy knows, such as
         "cvxpy:scs", or an object with settings: ``OSQP(tol=1e-10)``.
