@@ -90,7 +90,7 @@ def solve(
     scheme : str
         "auto": sdirk2 where step * Lam <= 2 for the longest step, with `SweepingProcess.Lam` the
         largest eigenvalue of A^-1 B, else sdirk32; in parts where a step contains breakpoints of a
-        load that is data, unless they are too many; with Adaptive midpoint, or sdirk2 when A = 0.
+        load that is data, unless they are too many; with Adaptive sdirk2.
         The plan says which one and why. By name, on the steps as they are: "catching-up",
         "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs
         a step, 7 where step * Lam > 2 and much stops); "exact" for polyhedra and loads as data

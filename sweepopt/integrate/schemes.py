@@ -159,8 +159,12 @@ def automatic(process: SweepingProcess, mu: float) -> Scheme:
 
 
 def choose(name: str, coercive: bool) -> Scheme:
-    """The scheme of that name; "auto" is the one for steps that adapt to their errors."""
-    known = {"auto": SCHEMES["midpoint" if coercive else "sdirk2"], **SCHEMES}
+    """The scheme of that name; "auto" is the one for steps that adapt to their errors.
+
+    Its last stage is at the end of the step, where data turn: midpoint has none there, and misses a
+    slip that begins after the last midpoint before a breakpoint.
+    """
+    known = {"auto": SCHEMES["sdirk2"], **SCHEMES}
     if not isinstance(name, str) or name not in known:
         names = ", ".join(known)
         hint = suggestion(name, known) if isinstance(name, str) else "; Adaptive goes into steps"

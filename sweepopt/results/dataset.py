@@ -206,9 +206,11 @@ def _dump(dataset: xr.Dataset, file: Any) -> None:
     from xarray.backends import H5NetCDFStore
 
     packed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-    arrays = [name for name, x in dataset.variables.items() if x.ndim and x.dtype.kind in "if"]
-    new = [name for name in arrays if name not in file.variables]
-    dataset.dump_to_store(H5NetCDFStore(file), encoding=dict.fromkeys(new, packed))
+    new = [name for name, x in dataset.variables.items() if x.ndim and name not in file.variables]
+    # text as characters, as strings have no checksum
+    kinds = {name: {"dtype": "S1"} if dataset[name].dtype.kind in "OU" else {} for name in new}
+    encoding = {name: packed | kind for name, kind in kinds.items()}
+    dataset.dump_to_store(H5NetCDFStore(file), encoding=encoding)
 
 
 def read_run(path: str | PathLike[str]) -> xr.Dataset:
