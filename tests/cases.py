@@ -154,9 +154,9 @@ def random_set(random, n, polyhedral, whole):
             lambda: so.Ellipsoid(0.3 * random.normal(size=n), random_matrix(random, n)),
             lambda: so.Box(-low, up) + so.Ball(np.zeros(n), 0.3),
             lambda: -so.Ball(ones, 1.5),
-            lambda: so.image(first, so.Box([-1], [1])) + random.normal(size=n),
-            lambda: so.image(first, so.Ball([0.0], 1.0)) + random.normal(size=n),
-            lambda: so.product(*(so.Ball([0.0], r) for r in low)),
+            lambda: so.image(first, so.Box(-1, 1)) + random.normal(size=n),
+            lambda: so.image(first, so.Ball(0.0, 1.0)) + random.normal(size=n),
+            lambda: so.product(*(so.Ball(0.0, r) for r in low)),
         ]
     return kinds[random.integers(len(kinds))]()
 

@@ -83,7 +83,7 @@ def test_a_package_is_judged_at_its_own_nodes_and_must_come_to_the_end(task):
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
-@pytest.mark.parametrize(("name", "size"), [("tread", 2), ("pipe", 3), ("rough", 3), ("ring", 1)])
+@pytest.mark.parametrize("name, size", [("tread", 2), ("pipe", 3), ("rough", 3), ("ring", 1)])
 def test_steps_of_the_scenes_are_those_of_their_loop_with_cvxpy(name, size):
     make, _, t_end, _ = scenes.SCENES[name]
     scene, steps = make(size), 10

@@ -68,9 +68,7 @@ RUNS = {
     "polygon": (polygon, {"solver": "osqp", "t_end": 0.6, "steps": 30}),
     "uncertified": (free, {"steps": 12}),
     "set that is a function": (
-        lambda: so.SweepingProcess(
-            [[0.5]], [[2.0]], so.MovingSet(lambda t: so.Box([t], [3.0])), [0]
-        ),
+        lambda: so.SweepingProcess(0.5, 2.0, so.MovingSet(lambda t: so.Box(t, 3.0)), 0),
         {"t_end": 2.0},
     ),
     "times of the user": (
@@ -231,7 +229,7 @@ MOMENTS = [RANDOM.uniform(0.0, 1.2) for _ in range(25)]
 
 
 @pytest.mark.parametrize(
-    ("name", "delays", "steps", "every", "alive"),
+    "name, delays, steps, every, alive",
     [
         ("full", [0.1], 200, 5, 1),
         pytest.param("proportional", MOMENTS, 1200, 5, 15, marks=pytest.mark.slow),
@@ -270,7 +268,7 @@ def test_a_load_that_differs_late_or_between_the_times_that_are_compared_is_anot
 ):
     def spiked(spike):
         times = [0.0, 0.50001, 0.50002, 0.50003, 4.0]
-        return so.Separable([(so.Table(times, [0.0, 1.0, spike, 1.0, 2.0]), [1.0])])
+        return so.Table(times, [0.0, 1.0, spike, 1.0, 2.0])
 
     loads = [
         lambda late: lambda t: [t if t < 3.9 else late],
@@ -447,7 +445,7 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    "changes, words",
     [
         ({"steps": so.Adaptive(1e-3)}, "Adaptive"),
         ({"scheme": "exact"}, "exact"),
@@ -555,6 +553,6 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
 
 
 def test_a_checkpoint_that_can_have_no_lock_is_refused_by_name(tmp_path):
-    process = so.SweepingProcess([[1.0]], None, so.Box([-1], [1]), [0])
+    process = so.SweepingProcess(1.0, None, so.Box(-1, 1), 0)
     with pytest.raises(so.CheckpointError, match=r"no file can be made beside .*shorter name"):
         so.solve(process, t_end=1.0, steps=3, checkpoint=tmp_path / ("a" * 248 + ".npz"))

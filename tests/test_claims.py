@@ -52,7 +52,7 @@ def test_what_shows_a_claim_is_there():
 
 
 @pytest.mark.parametrize(
-    ("file", "test", "place"),
+    "file, test, place",
     [
         ("laws.py", "support_is_lipschitz_in_hausdorff_distance", "Lemma 2.1"),
         (

@@ -235,7 +235,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    "arguments, words",
     [
         (["nowhere"], "'nowhere' is neither a scene file nor a problem; there are: "),
         (["nowhere.toml"], "nowhere.toml: cannot be read"),
@@ -284,7 +284,7 @@ def test_our_warnings_are_one_line_without_a_source_file(scene, capsys):
 
 
 @pytest.mark.parametrize(
-    ("package", "extra"),
+    "package, extra",
     [("matplotlib", "plot"), ("xarray", "fem"), ("h5py", "fem"), ("h5netcdf", "fem")],
 )
 @pytest.mark.usefixtures("scene")

@@ -92,7 +92,7 @@ def test_tolerances_are_lines_of_their_own_and_all_may_have_failed():
 
 
 @pytest.mark.parametrize(
-    ("table", "settings", "words"),
+    "table, settings, words",
     [
         (TABLE, {"x": "speed"}, "x must be one of wall, cpu, steps"),
         (TABLE.drop(columns="wall"), {}, r"lacks the columns \['wall'\]"),

@@ -22,7 +22,7 @@ def in_turn(name, scheme, steps):
     """One grid of each run here, both with -m slow; the spiral of B14 takes ten times as long."""
     turn = (SETS.index(name) + STEPPING.index(scheme)) % 2 if name in COERCIVE else 0
     here = steps == (101 if name in CURVED else (11, 53)[turn])
-    here &= name != "B14" or scheme in FOR_A_ZERO
+    here &= name != "B14" or scheme == "implicit-euler"
     return pytest.param(name, scheme, steps, marks=[] if here else pytest.mark.slow)
 
 
@@ -69,7 +69,7 @@ def largest_error(name, sol, n=2003):
     return float(sizes(this.process, sol(times) - exact(name)(times)).max())
 
 
-@pytest.mark.parametrize(("name", "scheme", "steps"), RUNS + EXACT)
+@pytest.mark.parametrize("name, scheme, steps", RUNS + EXACT)
 def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(name, scheme, steps):
     sol = run(name, steps, scheme)
     bound, error = sol.error_bound(), largest_error(name, sol)
@@ -91,14 +91,14 @@ class Inexact(so.Clarabel):
 INEXACT = [("V05", "implicit-euler"), ("V05", "midpoint"), *(("M17", s) for s in FOR_A_ZERO)]
 
 
-@pytest.mark.parametrize(("name", "scheme"), INEXACT)
+@pytest.mark.parametrize("name, scheme", INEXACT)
 def test_the_error_of_an_inexact_solver_is_inside_the_bound(name, scheme):
     sol = run(name, 101, scheme, solver=Inexact(), tol=0.1)
     assert largest_error(name, sol) <= sol.error_bound()
 
 
 @pytest.mark.parametrize(
-    ("steps", "median", "worst"),
+    "steps, median, worst",
     [(101, 1.5, 3.0), pytest.param(211, 1.3, 2.0, marks=pytest.mark.slow)],
 )
 def test_the_bound_of_first_order_schemes_is_close_to_their_error(steps, median, worst):
@@ -106,7 +106,7 @@ def test_the_bound_of_first_order_schemes_is_close_to_their_error(steps, median,
         (name, run(name, steps, scheme))
         for name in COERCIVE
         for scheme in STEPPING[:2]
-        if name != "B14" or steps == 101
+        if name != "B14"  # whose bound takes as long as all the others
     ]
     effectivity = [sol.error_bound() / case(name).error(sol) for name, sol in runs]
     assert np.median(effectivity) <= median
@@ -125,7 +125,7 @@ def stiff(n, rate):
     return so.SweepingProcess(viscosity * A, B, C, np.zeros(n))
 
 
-@pytest.mark.parametrize(("n", "most"), [(1, (3, 3, 6)), (6, (3, 12, 30))])
+@pytest.mark.parametrize("n, most", [(1, (3, 3, 6)), (6, (3, 12, 30))])
 def test_the_bound_of_stiff_runs_is_as_close_as_the_readme_says(n, most):
     # without A^-1 out of the residual it is 16 to 260,000 times the error
     for rate, factor in zip((1e-2, 1e4, 1e8), most, strict=True):
@@ -167,9 +167,9 @@ def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given(sche
 
 def test_a_set_that_is_a_function_needs_its_variation_too():
     def C(t):
-        return so.Box([2 * np.sin(t) - 1 - 0.2 * t], [2 * np.sin(t) + 1 + 0.1 * t])
+        return so.Box(2 * np.sin(t) - 1 - 0.2 * t, 2 * np.sin(t) + 1 + 0.1 * t)
 
-    process = so.SweepingProcess([[1.0]], [[1.0]], so.MovingSet(C), [0.0])
+    process = so.SweepingProcess(1.0, 1.0, so.MovingSet(C), 0.0)
     reference = so.solve(process, t_end=4.0, steps=1000)
     for steps in (50, 200):
         sol = so.solve(process, t_end=4.0, steps=steps)
@@ -192,8 +192,8 @@ def curved_cone():
 @pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
 def test_cones_have_a_guaranteed_bound(scheme):
     process = curved_cone()
-    sol = so.solve(process, t_end=5.0, steps=40, scheme=scheme)
-    reference = so.solve(process, t_end=5.0, steps=600)
+    sol = so.solve(process, t_end=2.5, steps=20, scheme=scheme)
+    reference = so.solve(process, t_end=2.5, steps=300)
     bound, error = sol.error_bound(), sizes(process, sol.u - reference(sol.t)).max()
     assert bound.guaranteed
     assert error <= bound <= 0.15
@@ -220,7 +220,7 @@ def coupled(seed, history, A):
 
 @pytest.mark.parametrize("A", [0.3, 0.0])
 @pytest.mark.parametrize(
-    ("seed", "history"),  # dense rows, and sparse ones
+    "seed, history",  # dense rows, and sparse ones
     [
         (0, lambda random: so.Sine(1.0, random.uniform(1.0, 3.0))),
         (1, lambda random: so.Table([0, 0.5, 1.1, 1.7, 2.0], np.append(0, random.normal(size=4)))),
@@ -293,9 +293,7 @@ def test_unknowns_at_rest_do_not_change_the_bound_of_a_load_that_jumps_within_st
     assert np.allclose(bounds(1000), bounds(1), rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("name", "scheme", "steps"), [("P09", "midpoint", 101), ("S03", "exact", 20)]
-)
+@pytest.mark.parametrize("name, scheme, steps", [("P09", "midpoint", 101), ("S03", "exact", 20)])
 def test_a_run_that_kept_the_last_state_only_has_the_same_bound(name, scheme, steps):
     whole, last = (run(name, steps, scheme, save=save) for save in (None, "last"))
     assert last.error_bound() == pytest.approx(float(whole.error_bound()), rel=1e-9)
@@ -303,17 +301,17 @@ def test_a_run_that_kept_the_last_state_only_has_the_same_bound(name, scheme, st
 
 def test_units_do_not_change_the_bound():
     def bound(force, length):
-        load = so.Separable([(so.Sine(3.0 * force, 3.0), [1.0])])
-        C = so.Moving(so.Box([-force], [force]), load)
+        load = so.Sine(3.0 * force, 3.0)
+        C = so.Moving(so.Box(-force, force), load)
         ratio = force / length
-        process = so.SweepingProcess([[0.5 * ratio]], [[2 * ratio]], C, [0.0])
+        process = so.SweepingProcess(0.5 * ratio, 2 * ratio, C, 0.0)
         found = so.solve(process, t_end=5.0, steps=100, scheme="catching-up").error_bound()
         return float(found) / np.sqrt(force * length)
 
     assert bound(2.0**40, 2.0**-20) == pytest.approx(bound(1.0, 1.0), rel=1e-9)
 
 
-@pytest.mark.parametrize(("scheme", "error"), [("midpoint", 1e-3), ("catching-up", 2e-2)])
+@pytest.mark.parametrize("scheme, error", [("midpoint", 1e-3), ("catching-up", 2e-2)])
 def test_steps_are_refined_in_silence_until_the_bound_holds(scheme, error):
     seen = []
     sol = run("S03", 50, scheme, error=error, callback=lambda info: seen.append(info.t))
@@ -369,7 +367,7 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
     assert caught.value.solution.success
 
 
-@pytest.mark.parametrize("part", [so.Ball([0.0], 1.0), so.Box([-1.0], [1.0])])
+@pytest.mark.parametrize("part", [so.Ball(0.0, 1.0), so.Box(-1.0, 1.0)])
 def test_a_set_that_is_shifted_against_its_load_has_the_same_bound(part):
     n, one = 12, np.eye(12)[1]
     history = so.Table([0, 2, 4], [0, 1.6, 1.6])
@@ -383,7 +381,7 @@ def test_a_set_that_is_shifted_against_its_load_has_the_same_bound(part):
 
 
 def test_a_bound_that_overflows_is_infinite_and_not_nan():
-    vi = so.EvolutionVI([[0.0]], [[0.5]], dissipation=so.Box([-1], [np.inf]), u0=[0.5])
+    vi = so.EvolutionVI(0.0, 0.5, dissipation=so.Box(-1, np.inf), u0=0.5)
     bound = so.solve(vi, t_end=1e74, steps=2).error_bound()
     assert bound == np.inf
     assert np.isinf(bound.of_t).all()

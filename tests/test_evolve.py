@@ -4,24 +4,18 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import case
+from cases import block, case
 
 import sweepopt as so
 from sweepopt.velocity import Answer
 
 
-def block(A, B, center, u0=0.0):
-    """One unknown in a moving interval of half width 1."""
-    return so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-1], [1]), center), [u0])
-
-
 def slider():
-    return block(0.5, 2.0, lambda t: [1.5 * t])
+    return block(lambda t: 1.5 * t)
 
 
 def outside():
-    ramp = so.Table([0.0, 100.0], [0.0, 100.0])
-    return block(1.0, 1.0, so.Separable([(ramp, [1.0])]), 3.0)
+    return block(so.Table([0.0, 100.0], [0.0, 100.0]), 1.0, 1.0, 3.0)
 
 
 def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes():
@@ -45,7 +39,7 @@ def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes():
 
 def test_tiny_steps_on_a_large_state_lose_no_motion():
     # without compensation 1e7 + 1e-10 * z would round the motion away
-    process = so.SweepingProcess([[1.0]], None, so.Point([1.0]), [1e7])
+    process = so.SweepingProcess(1.0, None, so.Point(1.0), 1e7)
     with pytest.warns(so.InitialStateWarning):
         sol = so.solve(process, t_end=1e-6, steps=10_000)
     assert float(sol.u[-1, 0]) - 1e7 == pytest.approx(1e-6, rel=2e-3)
@@ -107,7 +101,7 @@ def test_catching_up_refuses_a_step_that_amplifies_and_warns_of_one_that_oversho
 
 
 def test_auto_is_sdirk2_or_sdirk32_by_mu_lam_and_the_plan_says_why():
-    data = block(0.5, 2.0, so.Separable([(so.Sine(1.0, 1.0), [1.0])]))  # "exact" would do too
+    data = block(so.Sine(1.0, 1.0))  # "exact" would do too
 
     def plan(process, **how):
         (line,) = (x for x in str(so.solve(process, **how).plan).splitlines() if "scheme  " in x)
@@ -123,19 +117,10 @@ def test_auto_is_sdirk2_or_sdirk32_by_mu_lam_and_the_plan_says_why():
     assert plan(slider(), t_end=3.0, steps=5, scheme="sdirk2") == "sdirk2 (order 2)"
 
 
-def test_a_cone_set_given_to_osqp_is_refused_by_name():
-    with pytest.raises(so.SolverRefusedError, match=r"osqp.*Ball"):
-        so.solve(case("V05").process, t_end=1.0, steps=5, solver="osqp")
-    cone = so.product(so.Box([-1], [1]), so.SecondOrderCone(3))
-    process = so.SweepingProcess(np.eye(4), None, cone, np.zeros(4))
-    with pytest.raises(so.SolverRefusedError, match="SecondOrderCone"):
-        so.solve(process, t_end=1.0, steps=5, solver="osqp")
-
-
 def test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets():
     """Adly and Haddad, Lemma 2.3: cut with a ball that is large enough C(t) moves u as before."""
     process = case("P10").process  # C(t) is a half-line
-    truncated = so.SweepingProcess([[0.5]], [[1.0]], process.C & so.Ball(np.zeros(1), 50), [0])
+    truncated = so.SweepingProcess(0.5, 1.0, process.C & so.Ball(np.zeros(1), 50), 0)
     plain, sol = (so.solve(each, t_end=16.0, steps=101) for each in (process, truncated))
     assert sol.success
     assert sol.u == pytest.approx(plain.u, abs=1e-9)
@@ -218,7 +203,7 @@ def test_warnings_name_the_line_of_the_user(how):
 
 def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times():
     # B = 0 and M = 1: u gains the size of each step
-    process = so.SweepingProcess([[1.0]], [[0.0]], so.Point([1.0]), [0.0])
+    process = so.SweepingProcess(1.0, 0.0, so.Point(1.0), 0.0)
     times = 1.7e9 + np.append(0.0, np.cumsum(1.0 + 3e-4 * np.linspace(0, 1, 1000)))
     with pytest.warns(so.InitialStateWarning):
         sol = so.solve(process, steps=times)
@@ -243,11 +228,11 @@ def overshoots(process, **how):
 
 def far_outside():
     """It should rise from -1 to -0.1 and stick there."""
-    return so.SweepingProcess([[1.0]], [[1.0]], so.Box([-0.1], [2.0]), u0=[-1.0])
+    return so.SweepingProcess(1.0, 1.0, so.Box(-0.1, 2.0), u0=-1.0)
 
 
 @pytest.mark.parametrize(
-    ("scheme", "mu", "reached"),
+    "scheme, mu, reached",
     [
         ("midpoint", 2.1, -0.078),
         ("midpoint", 1e6, 0.8),
@@ -272,7 +257,7 @@ def test_a_step_that_overshoots_is_warned_of(scheme, mu, reached):
 @pytest.mark.parametrize("path", ["full", "eliminated", "proportional"])
 def test_every_path_tells_of_an_overshoot(path):
     A = np.array([[3.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
-    C = so.image(np.eye(3)[:, :1], so.Box([-0.1], [2.0]))
+    C = so.image(np.eye(3)[:, :1], so.Box(-0.1, 2.0))
     process = so.SweepingProcess(A, A, C, u0=[-1.0, 0.0, 0.0])
     for scheme in ("midpoint", "auto"):
         said = overshoots(process, t_end=40.0, steps=2, path=path, scheme=scheme)[1]
@@ -290,7 +275,7 @@ def test_schemes_that_fade_are_not_said_to_ring(scheme):
     held = so.Table([0, 1.013, 2, 3.507, 6, 10], [0, 2, 2, -2, -2, -2])
     for load in (so.Sine(3.0, 4.0), so.Triangle(3.0, 4.0), held):
         for viscosity in (0.1, 1e-8):
-            process = block(viscosity, 1.0, so.Separable([(load, [1.0])]))
+            process = block(load, viscosity, 1.0)
             for n in (17, 101):
                 assert not overshoots(process, t_end=10.0, steps=n, scheme=scheme)[1]
 
@@ -299,21 +284,21 @@ def test_schemes_that_fade_are_not_said_to_ring(scheme):
 def test_a_scheme_by_name_that_rings_warns_once_where_something_sticks_and_moves(
     scheme,
 ):
-    load = so.Separable([(so.Sine(2.0, 2.0), [1.0])])
+    load = so.Sine(2.0, 2.0)
 
     def said(C, viscosity=1e-3, **how):
-        process = so.SweepingProcess([[viscosity]], [[1.0]], C, [0.0])
+        process = so.SweepingProcess(viscosity, 1.0, C, 0.0)
         return overshoots(process, **{"t_end": 6.0, "steps": 60, "scheme": scheme, **how})[1]
 
-    moving = so.Moving(so.Box([-1], [1]), load)
+    moving = so.Moving(so.Box(-1, 1), load)
     (words,) = said(moving)
     assert f"scheme {scheme!r} rings: step * Lam = 100" in words
     assert "take scheme='auto' or implicit-euler" in words
     assert len(said(moving, 0.029)) == 1  # step * Lam = 3.4: R = -0.27, below -FADES
     assert not said(moving, 0.035)  # 2.9, -0.18
     assert not said(moving, on_unstable="ignore")
-    assert not said(so.Box([-1], [1]))
-    assert not said(so.Moving(so.Point([0.0]), load))  # a linear problem
+    assert not said(so.Box(-1, 1))
+    assert not said(so.Moving(so.Point(0.0), load))  # a linear problem
     assert not said(moving, steps=so.Adaptive(1e-2), t_end=0.2)  # its errors are estimated
     if scheme == "midpoint":
         assert "rings: A is singular" in said(moving, 0.0)[0]

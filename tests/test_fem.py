@@ -37,7 +37,7 @@ def order(errors, ratio=2.0):
 
 
 @pytest.mark.parametrize(
-    ("element", "v", "gradient"),
+    "element, v, gradient",
     [
         ("P1", lambda x: 3 * x[1], lambda x: np.stack([0 * x[0], 3 + 0 * x[0]])),
         ("P2", lambda x: x[1] * (1 + x[0]), lambda x: np.stack([x[1], 1 + x[0]])),
@@ -81,7 +81,7 @@ def test_coefficients_by_group_profile_and_function_agree():
 
 
 @pytest.mark.parametrize(
-    ("along", "expected"),
+    "along, expected",
     [("x", [1, 0, -2, 0]), ("y", [0, 1, 0, -2]), ("radius", [1, 1, 2, 2])]
     + [("angle", [0, 90, 180, 270])],
 )
@@ -107,7 +107,7 @@ def with_friction(mesh, clamped, on, g=1.0, element="P1"):
     return antiplane(mesh, clamped=clamped, element=element, effects=effects)
 
 
-@pytest.mark.parametrize(("element", "expected", "ceiling"), [("P1", 2, 1e-2), ("P2", 4, 1e-7)])
+@pytest.mark.parametrize("element, expected, ceiling", [("P1", 2, 1e-2), ("P2", 4, 1e-7)])
 def test_friction_weights_on_curved_edges_converge_to_the_length(element, expected, ceiling):
     scenes = [with_friction(annulus(n), "inner", "outer", element=element) for n in (2, 4, 8, 16)]
     errors = [abs(scene.contact.weight.sum() - 4 * np.pi) for scene in scenes]
@@ -115,7 +115,7 @@ def test_friction_weights_on_curved_edges_converge_to_the_length(element, expect
     assert errors[-1] < ceiling
 
 
-@pytest.mark.parametrize(("element", "expected"), [("P1", 2), ("P2", 4)])
+@pytest.mark.parametrize("element, expected", [("P1", 2), ("P2", 4)])
 def test_the_dissipation_is_the_lumped_functional_and_has_its_stated_order(element, expected):
     errors = []
     for n in (4, 8, 16, 32):
@@ -193,7 +193,7 @@ def annulus_field(alpha, beta):
 
 
 @pytest.mark.parametrize(
-    ("element", "rings", "orders", "ceilings"),
+    "element, rings, orders, ceilings",
     [
         ("P1", (2, 4, 8, 16), (2, 1), (1.6e-3, 5.2e-2)),
         ("P2", (2, 4, 8, 16), (3, 2), (4.1e-6, 4.4e-4)),
@@ -252,7 +252,7 @@ def zone_run(n, element, steps):
 
 
 @pytest.mark.parametrize(
-    ("element", "sizes", "steps", "at_end", "everywhere", "rate"),
+    "element, sizes, steps, at_end, everywhere, rate",
     [
         ("P1", (8, 16, 32, 64), 200, (1.9e-3, 4.2e-4, 1.0e-4, 2.9e-5), 1.6e-4, 1.9),
         ("P2", (4, 8, 16), 400, (1.5e-3, 1.75e-4, 1.4e-5), 7e-5, 3.0),
@@ -281,7 +281,7 @@ def test_the_slipping_share_of_the_contact_follows_the_reference():
 
 
 @pytest.mark.parametrize("mesh", [square(2), annulus(1, curved=False), annulus(1)])
-@pytest.mark.parametrize(("coarse", "fine"), [("P1", "P1"), ("P1", "P2"), ("P2", "P2")])
+@pytest.mark.parametrize("coarse, fine", [("P1", "P1"), ("P1", "P2"), ("P2", "P2")])
 def test_functions_of_a_mesh_are_functions_of_the_refined_ones(mesh, coarse, fine):
     clamped = sorted(mesh.boundaries)[0]
     bodies = [
@@ -437,7 +437,7 @@ BAD_FILES = [
 ]
 
 
-@pytest.mark.parametrize(("content", "message"), BAD_FILES)
+@pytest.mark.parametrize("content, message", BAD_FILES)
 def test_a_bad_mesh_file_is_refused_with_its_name_and_fault(tmp_path, capfd, content, message):
     path = tmp_path / "bad.msh"
     if isinstance(content, skfem.MeshTri):
@@ -485,41 +485,6 @@ def interpolated(function):
 RING = annulus(2)
 INSIDE = square(2).with_boundaries({"cut": lambda x: x[0] == 0.5}, boundaries_only=False)
 HALF = square(2).with_subdomains({"a": [0, 1]})
-
-BAD = [  # what a scene file cannot say; the rest is in test_scene.py
-    (lambda: antiplane_square(mesh=3), "a mesh that is no skfem.Mesh must be a path, got 3"),
-    (lambda: antiplane_square(mesh=flip(square(2))), "triangle .* overlaps a neighbour"),
-    (lambda: antiplane_square(mesh=pieces(), clamped="left"), r"nothing holds .* \(2, 0\)"),
-    (lambda: antiplane_square(clamped=["top", "top"]), "clamped must be a name or distinct names"),
-    (lambda: antiplane(INSIDE, clamped="cut", effects=VISCOUS), "'cut' lies inside the body"),
-    (lambda: antiplane_square().discretisation.expand([1.0]), "u must have 6 entries in its last"),
-    (lambda: antiplane_square(t_end=-1.0), "t_end must be > 0"),
-    (lambda: antiplane_square(u0=[1.0]), "u0 has dim 1, but A 6"),
-    (lambda: antiplane_square(effects=VISCOUS[0]), r"must be a list .*, got Viscosity\(eta=1.0"),
-    (lambda: antiplane_square(effects=[Viscosity]), r"^effects\[0\] is no effect such as .*class"),
-    (lambda: Friction("left", 1e308), r"^g is 1e\+308, beyond 1e\+75: .* other units"),
-    (lambda: BodyForce(abs, 1e308), r"^f0 is 1e\+308, beyond 1e\+75"),
-    (lambda: with_effect(Friction("left", lambda x: -x[0] - 1)), r"effects\[1\].g must be >= 0"),
-    (lambda: with_effect(Viscosity(lambda x: [1, 2])), r"effects\[1\].eta must turn points"),
-    (lambda: with_effect(Viscosity(lambda x: x[0] + np.inf)), r"\[1\].eta is inf; give a finite"),
-    (lambda: with_eta({}), r"^effects\[0\].eta must give one value .* in all, core, sleeve; cover"),
-    (lambda: with_eta({"core": 1}), "eta must give one value .* none or several in all, sleeve; "),
-    (lambda: with_eta({"core": 1, "all": 1}), "eta must give one value .* several in all, core; "),
-    (lambda: antiplane(HALF, clamped="top", effects=[Viscosity({"a": 1})]), "in cells of no g"),
-    (lambda: Viscosity({"core": -1.0}), "eta.core must be > 0"),
-    (lambda: Friction("outer", -np.inf), "g must be >= 0, got -inf"),
-    (lambda: Traction("outer", 5.0), "history must be a function of time"),
-    (lambda: Profile("x", [0, 0], [1, 1]), "at must increase strictly, but entry 1"),
-    (lambda: read_mesh(None), "path must be a path, got None"),
-    (lambda: interpolated(lambda x: "a"), "function must turn points"),
-    (lambda: interpolated(lambda x: x[0] * np.nan), "function is nan; give a finite number"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("make", "message"), BAD)
-def test_bad_arguments_are_refused_by_name(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
 
 
 def test_a_boundary_with_infinite_friction_is_glued():

@@ -101,8 +101,8 @@ def api():
         }
         for module in (so, fem)
     }
-    center = so.Separable([(so.Sine(3.0, period=np.pi), [1.0])])
-    process = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), center), [0.0])
+    center = so.Separable([(so.Sine(3.0, period=np.pi), 1.0)])
+    process = so.SweepingProcess(0.5, 2.0, so.Moving(so.Box(-1, 1), center), 0.0)
     solution = so.solve(process, t_end=2.0, steps=20)
     found["stats"] = " ".join(solution.stats.dtype.names or ())
     found["error_bound"] = " ".join(sorted(vars(solution.error_bound())))

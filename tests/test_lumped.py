@@ -5,7 +5,6 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-import sweepopt as so
 from sweepopt import plot
 from sweepopt.fem import (
     Discretisation,
@@ -72,32 +71,10 @@ def test_the_loop_of_the_scene_is_that_of_fifty_plays(d):
         assert force.max() == pytest.approx(0.51, abs=1e-10)  # sum of the g_i: all slide at d = 1
 
 
-@pytest.mark.parametrize(
-    ("domain", "message"),
-    [
-        ({"mesh": {"nodes": 1}}, "domain.mesh.nodes must be"),
-        ({"mesh": {"sizes": [1.0], "cells": [4]}}, "domain.kind: 'lumped' needs P1 and intervals"),
-        ({"element": "P2"}, "domain.kind: 'lumped' needs P1"),
-    ],
-)
-def test_a_lumped_model_that_is_none_is_refused(domain, message):
+def lumped(domain, **time):
+    """The scene with another domain or end, for data/refused.txt."""
     data = scene_data("hysteresis")
-    data["domain"] = data["domain"] | domain
-    with pytest.raises(so.InputError, match=message):
-        read_scene(data)
-
-
-def test_what_moves_a_foundation_is_checked():
-    plate = Discretisation(grid([1.0, 1.0], [2, 2]), (), kind="plane stress")
-    moved = Foundation("body", 1.0, moved=Table([0.0, 1.0], [0.0, 2.0]))
-    with pytest.raises(so.InputError, match="along must be x, y or z"):
-        body(plate, [Viscosity(1.0), moved])
-    with pytest.raises(so.InputError, match="moved must be a function of time"):
-        Foundation("body", 1.0, moved=3.0)  # type: ignore[arg-type]
-    data = scene_data("hysteresis")
-    data["time"]["end"] = 20.0
-    with pytest.raises(so.InputError, match=r"effects\.foundation\.moved"):
-        read_scene(data)
+    return read_scene(data | {"domain": data["domain"] | domain, "time": data["time"] | time})
 
 
 def test_a_sheet_follows_the_bed_that_carries_it():

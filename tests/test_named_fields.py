@@ -20,20 +20,3 @@ def test_a_field_is_its_part_of_the_solution_and_of_the_dataset():
     assert "field" not in so.solve(process(None), t_end=1.0, steps=10).to_xarray()
     with pytest.raises(so.InputError, match=r"no field 'q'; its fields are u, p"):
         sol.field("q")
-
-
-@pytest.mark.parametrize(
-    ("fields", "words"),
-    [
-        ([1], "must be a dict"),
-        ({1: slice(0, 1)}, "must be a name with a slice"),
-        ({"u": 1}, "must be a name with a slice"),
-        ({"u": slice(0, 4)}, "must hold some of the 3 unknowns"),
-        ({"u": slice(2, 2)}, "must hold some of the 3 unknowns"),
-        ({"u": slice("a", 2)}, "must hold some of the 3 unknowns"),
-        ({"u": slice(0, 2), "p": slice(1, 3)}, "fields 'u' and 'p' overlap in unknown 1"),
-    ],
-)
-def test_bad_fields_are_refused(fields, words):
-    with pytest.raises(so.InputError, match=words):
-        process(fields)

@@ -132,7 +132,7 @@ def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(report, tmp_p
 # ---- VTU ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("element", "kind"), [("P1", "triangle"), ("P2", "triangle6")])
+@pytest.mark.parametrize("element, kind", [("P1", "triangle"), ("P2", "triangle6")])
 def test_vtu_series_holds_the_solution(tmp_path, element, kind):
     report = report_of(ring(element=element, steps=7))
     series, *files = write_vtu(report, tmp_path)

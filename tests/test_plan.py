@@ -122,14 +122,14 @@ def test_diagonal_processes_are_solved_by_a_formula_that_agrees_with_the_solvers
 
 def test_a_set_that_starts_as_a_point_becomes_a_set_when_it_grows():
     # C(t) = [0, 2t] holds 0 at all times: nothing ever moves
-    C = so.Moving(so.Box([-1], [1]), center=lambda t: [t], scale=lambda t: t)
-    this = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    C = so.Moving(so.Box(-1, 1), center=lambda t: [t], scale=lambda t: t)
+    this = so.SweepingProcess(0.5, 2.0, C, 0.0)
     for scheme in ("implicit-euler", "midpoint"):
         assert not so.solve(this, t_end=2.0, steps=20, scheme=scheme).u.any()
 
 
 def test_a_contact_zone_that_moves_is_followed():
-    axes, interval = np.eye(3), so.Box([-1], [1])
+    axes, interval = np.eye(3), so.Box(-1, 1)
 
     def as_image(t):
         return so.image(axes[:, [0]] if t < 1 else axes[:, [2]], interval) + [3 * t, 0, 3 * t]
@@ -150,7 +150,7 @@ def test_sets_of_several_kinds_are_solved_each_in_its_way_or_refused_before_the_
         so.Box([-1, -1], [1, 1]),
         so.Point([0.0, 0.0]),
         so.Ball([0, 0], 1),
-        so.image([[1.0], [0.0]], so.Box([-1], [1])),
+        so.image([[1.0], [0.0]], so.Box(-1, 1)),
     ]
     C = so.MovingSet(lambda t: kinds[int(t)] + [2 * np.sin(3 * t), t])
     this = so.SweepingProcess([[2, 0.5], [0.5, 1]], np.eye(2), C, [0, 0])

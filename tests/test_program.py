@@ -203,29 +203,12 @@ def test_a_large_polyhedron_is_not_called_certified():
     polyhedron = so.Moving(so.Polyhedron(G, np.ones(2 * n)), lambda t: np.full(n, 3 * t))
     box = so.Moving(so.Box(-np.ones(n), np.ones(n)), lambda t: np.full(n, 3 * t))
     runs = [
-        so.solve(so.SweepingProcess(sp.eye_array(n), None, C, np.zeros(n)), t_end=1.0, steps=2)
+        so.solve(so.SweepingProcess(sp.eye_array(n), None, C, np.zeros(n)), t_end=1.0, steps=1)
         for C in (polyhedron, box)
     ]
     assert runs[0].status is so.Status.UNCERTIFIED
     assert runs[1].status is so.Status.SUCCESS
     assert runs[0].u == pytest.approx(runs[1].u, abs=1e-6)
-
-
-def test_small_boxes_with_missing_bounds_that_move_are_followed_by_one_workspace():
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(30, 30))
-    M = Factor(root @ root.T + np.eye(30))
-    lower = np.where(np.arange(30) % 3 == 0, -np.inf, -1.0)
-    upper = np.where(np.arange(30) % 5 == 0, np.inf, 0.5)
-    solve = so.DAQP().compile(VelocityProgram(M, so.Box(lower, upper)))
-    for scale in (1.0, 1e-9, 1e9, 2.0):
-        for _ in range(20):
-            C = so.Box(scale * lower, scale * upper) + scale * rng.normal(size=30)
-            q = 4 * scale * rng.normal(size=30)
-            program = VelocityProgram(M, C)
-            answer = solve(q, C)
-            assert answer.status == "solved"
-            assert certify(program.M, q, C, answer.z).relative <= 1e-11
 
 
 def test_daqp_takes_a_load_of_next_to_nothing():
@@ -238,7 +221,7 @@ def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch):
     assert not so.DAQP().treats(so.Balls([1.0], 2))
     assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))
     assert not so.DAQP(max_dim=2).treats(so.Box([-1, -1, -1], [1, 1, 1]))
-    C = so.Box([-1.0], [1.0])
+    C = so.Box(-1.0, 1.0)
     monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(so.MissingExtraError, match="speed"):
         so.DAQP().compile(VelocityProgram(Factor(np.eye(1)), C))

@@ -68,7 +68,7 @@ def test_a_body_that_hardly_remembers_loses_no_digits(rho):
 
 
 @pytest.mark.parametrize(
-    ("part", "scheme"),
+    "part, scheme",
     [
         *(("intervals", scheme) for scheme in SCHEMES),
         ("balls", "sdirk2"),
@@ -130,7 +130,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
+@pytest.mark.parametrize("changes, reason", REFUSED, ids=[reason for _, reason in REFUSED])
 def test_what_is_not_proportional_takes_another_path_and_says_why_it_cannot_be_forced(
     changes, reason
 ):

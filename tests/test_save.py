@@ -26,7 +26,7 @@ def run(path, **changes):
 
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize(
-    ("save", "nodes"),
+    "save, nodes",
     [
         ("last", [0, 80]),
         (1, list(range(81))),
@@ -171,27 +171,10 @@ def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path
         assert dataset.sizes["time"] == 13
 
 
-@pytest.mark.parametrize(
-    ("save", "words"),
-    [
-        (0, "stride must be positive"),
-        (-3, "stride must be positive"),
-        ([0.123], "t = 0.123, which is not on the time grid"),
-        ([9.0], "t = 9, which is not on the time grid"),
-        (["a"], "save must be"),
-        ("first", "must end with .nc, or say 'last'"),
-        ("nowhere/run.nc", r"no folder .*nowhere"),
-        (True, "save must be None, 'last'"),
-        (1.5, "save must be None, 'last'"),
-        (np.array(5), "save must be None, 'last'"),
-        ("folder.nc", "cannot be written"),
-    ],
-)
-def test_what_save_cannot_be_is_said_before_the_run(save, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("folder.nc").mkdir()
-    with pytest.raises(so.InputError, match=words):
-        run("eliminated", save=save)
+def test_a_folder_is_no_file_for_a_run(tmp_path):
+    (tmp_path / "folder.nc").mkdir()
+    with pytest.raises(so.InputError, match="cannot be written"):
+        run("eliminated", save=tmp_path / "folder.nc")
 
 
 def test_a_history_that_does_not_fit_is_refused_before_the_run():

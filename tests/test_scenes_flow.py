@@ -55,7 +55,7 @@ def test_the_flux_and_the_plug_of_the_pipe_converge_to_the_formulas():
 
 
 @SUDDEN
-@pytest.mark.parametrize(("refinements", "rings"), [(1, 14), (2, 28)])
+@pytest.mark.parametrize("refinements, rings", [(1, 14), (2, 28)])
 def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh(refinements, rings):
     limit = 2 * G / R
     for P, moves in ((limit, False), (1.02 * limit * (1 + 0.53 / rings), True)):

@@ -48,6 +48,7 @@ def test_the_friction_of_the_sheet_is_in_its_disc_and_against_the_slip_at_every_
 # The tread block
 
 
+@pytest.mark.filterwarnings("ignore:Solution may be inaccurate")  # by processor
 def test_a_step_of_the_tread_block_is_that_of_a_program_stated_by_hand():
     data = read_toml(find_scene("tread"))
     data["domain"]["mesh"]["cells"] = [4, 3, 2]

@@ -56,7 +56,7 @@ RARE = {
 }
 
 
-@pytest.mark.parametrize(("name", "seed"), [(name, seed) for name in RARE for seed in RARE[name]])
+@pytest.mark.parametrize("name, seed", [(name, seed) for name in RARE for seed in RARE[name]])
 def test_normal_pairs_that_one_set_in_thousands_asks_for_are_proved(name, seed):
     sample, random = ZOO[name].sample(seed), np.random.default_rng(seed + 1)
     normal_pair_is_proven_near_any_guess(ZOO[name], sample, random)
@@ -127,17 +127,6 @@ def test_the_tip_of_a_thin_wedge_is_found(angle):
     P = C.project([-5.0, 0.3 * angle])
     np.testing.assert_allclose(P, [1.0, 0.0], atol=1e-15 / angle)
     C.require_nonempty()
-
-
-def test_many_equal_and_nearly_parallel_rows_do_not_confuse_the_projection():
-    rng = np.random.default_rng(0)
-    base = np.array([1.0, 2.0, -1.0])
-    G = np.vstack([base, base, 3 * base, base + 1e-9 * rng.normal(size=(20, 3)), -np.eye(3)])
-    h = np.concatenate([[1.0, 1.0, 3.0], np.ones(20) + 1e-9, np.full(3, 50.0)])
-    w = np.array([7.0, 5.0, -2.0])
-    P = so.Polyhedron(G, h).project(w)
-    np.testing.assert_allclose(P, so.HalfSpace(base, 1.0).project(w), atol=1e-7)
-    assert (h + 1e-13 >= G @ P).all()
 
 
 def test_a_polyhedron_with_thousands_of_sparse_rows_is_projected_to_rounding():
@@ -272,7 +261,7 @@ NEAREST = {
         MANY_PREIMAGES, [0.0, 4, 2], [2.0, -1, -2], (512.0, 2.0**29), rounding=1e-14
     ),
     "a cut of parts at zero": Nearest(
-        so.Box([-0.004], [0.0]) & (so.Box([-2.0], [6.0]) + so.Box([-2.0], [-2.0])),
+        so.Box(-0.004, 0.0) & (so.Box(-2.0, 6.0) + so.Box(-2.0, -2.0)),
         *([0.0], [1.0], (1.0, 1e3, 1e7)),
         rounding=1e-14,
     ),
@@ -378,9 +367,9 @@ DISTANCES = [
     (so.Ellipsoid([0, 0], np.diag([1, 4])), so.Ellipsoid([0, 0], np.diag([1, 9])), 1.0),
     (so.HalfSpace([3, 4], 5), so.HalfSpace([3, 4], 15), 2.0),
     (so.Polytope(TRIANGLE), so.Polytope(2 * TRIANGLE), 1.0),
-    (so.Ball([0], 1), so.Box([-3], [2]), 2.0),
-    (so.HalfSpace([2], 2), so.Box([-INF], [4]), 3.0),
-    (so.Orthant(1), so.Box([0], [1]), INF),
+    (so.Ball(0, 1), so.Box(-3, 2), 2.0),
+    (so.HalfSpace(2, 2), so.Box(-INF, 4), 3.0),
+    (so.Orthant(1), so.Box(0, 1), INF),
     (UNIT + [1, 1], UNIT + [4, 5], 5.0),
     (UNIT, UNIT + [3, 4], 5.0),
     (so.SecondOrderCone(2), so.SecondOrderCone(2) + [3, 4], 5.0),
@@ -410,7 +399,7 @@ DISTANCES = [
 ]
 
 
-@pytest.mark.parametrize(("C", "D", "expected"), DISTANCES)
+@pytest.mark.parametrize("C, D, expected", DISTANCES)
 def test_distance_bound_is_sharp_where_the_distance_is_known(C, D, expected):
     assert C.distance_bound(D) == pytest.approx(expected, rel=1e-14)
     assert D.distance_bound(C) == pytest.approx(expected, rel=1e-14)
@@ -556,20 +545,6 @@ def test_a_moving_cone_that_rests_at_zero_has_a_polar():
     assert (rest.polar().project([1.0, -1.0]) == [0.0, -1.0]).all()
 
 
-@pytest.mark.parametrize("squared", [False, True])
-@pytest.mark.parametrize("power", [-60, 0, 60])
-def test_user_constraints_may_have_any_units(power, squared):
-    r = 2.0**power
-    C = so.Constraints(2, lambda w: [cp.sum_squares(w) <= r**2 if squared else cp.norm(w) <= r])
-    same = so.Ball([0, 0], r)
-    C.require_nonempty()
-    for w in ([3 * r, 4 * r], [-300 * r, 7 * r], [0.1 * r, 0.2 * r]):
-        np.testing.assert_allclose(C.project(w), same.project(w), atol=1e-9 * np.abs(w).max())
-        np.testing.assert_allclose(C.support(w), same.support(w), rtol=1e-9)
-    assert so.Constraints(2, lambda w: []).support([r, 0]) == INF
-    so.Constraints(2, lambda w: []).require_nonempty()
-
-
 def test_user_constraints_are_read_once():
     r = cp.Parameter(value=1.0)
     C = so.Constraints(2, lambda w: [cp.norm(w) <= r])
@@ -581,116 +556,13 @@ def test_user_constraints_without_a_ray_are_unbounded():
     parabola = so.Constraints(2, lambda w: [w[0] ** 2 <= w[1]])
     assert parabola.support([1.0, -1.0]) == pytest.approx(0.25)
     assert parabola.magnitude() == INF
+    assert so.Constraints(2, lambda w: []).support([1.0, 0.0]) == INF
 
 
 # ---- malformed input ----------------------------------------------------------------------------
 
 CONE = so.SecondOrderCone(2)
 SQUARE = so.Box([-1, -1], [1, 1])
-
-MALFORMED = [
-    (lambda: so.Point([1.0, NAN]), r"p\[1\] is nan"),
-    (lambda: so.Point([[1.0, 2.0]]), r"p must have one axis.*\(1, 2\)"),
-    (lambda: so.Point([[1.0], [1.0, 2.0]]), "p must be an array"),
-    (lambda: so.Box([0, 2], [1, 1]), r"Box is empty: lower\[1\] = 2, upper\[1\] = 1"),
-    (lambda: so.Box([0, 0], [1]), "upper must have 2 entries, got 1"),
-    (lambda: so.Box([NAN], [1]), r"lower\[0\] is nan"),
-    (lambda: so.Box([INF], [INF]), r"Box is empty: lower\[0\] = inf"),
-    (lambda: so.Ball([0], -1), "radius must be >= 0, got -1"),
-    (lambda: so.Ball([0], INF), r"radius is inf"),
-    (lambda: so.Ball([0], [1, 2]), "radius must be one number, got 2"),
-    (lambda: so.Balls([1, -2], 2), r"radii\[1\] must be >= 0"),
-    (lambda: so.Balls([1], 0), "dim must be a positive whole number, got 0"),
-    (lambda: so.Ellipsoid([0, 0], [[1, 0], [0, -1]]), "shape must be positive definite.*-1"),
-    (lambda: so.Ellipsoid([0, 0], [[1, 1], [0, 1]]), r"shape must be symmetric: shape\[0, 1\]"),
-    (lambda: so.Ellipsoid([0], EYE), r"shape must be of shape"),
-    (lambda: so.HalfSpace([0, 0], 1), "normal must not be zero"),
-    (lambda: so.HalfSpace([1], lambda t: t), "offset must be"),
-    (lambda: so.Polyhedron(EYE, [1, INF]), r"h\[1\] is inf; leave out"),
-    (lambda: so.Polyhedron([[1, NAN]], [1]), r"G\[0, 1\] is nan"),
-    (lambda: so.Polyhedron(EYE, [1]), "h, one for each row of G, must have 2 entries"),
-    (lambda: so.Polyhedron([1, 2], [1]), "G must have two axes"),
-    (lambda: so.Polytope(np.zeros((0, 2))), "vertices is empty"),
-    (lambda: so.Polytope([[0, NAN]]), r"vertices\[0, 1\] is nan"),
-    (lambda: so.Orthant(2.5), "dim must be .* got 2.5"),
-    (lambda: so.SecondOrderCone(True), "dim must be .* got True"),
-    (lambda: so.Constraints(1, []), "build must be a function"),
-    (
-        lambda: so.Constraints(1, lambda w: [w >= 1, w <= 0]).require_nonempty("C(2)"),
-        r"C\(2\) is empty",
-    ),
-    (lambda: UNIT.polar(), "Ball is not a cone"),
-    (lambda: SQUARE.polar(), "Box is not a cone"),
-    (lambda: so.HalfSpace([1], 1).polar(), "HalfSpace is not a"),
-    (lambda: so.Point([1]).polar(), "Point is not a cone"),
-    (lambda: so.image(EYE, UNIT).polar(), "Ball is not a cone"),
-    (
-        lambda: so.image(np.ones((3, 2)), CONE).polar(),
-        "polar of this set is not known here; known are",
-    ),
-    (lambda: so.Constraints(1, lambda w: [w >= 0]).polar(), "polar of this set is not known here"),
-    (lambda: (CONE & UNIT).polar(), "Ball is not a cone"),
-    (lambda: so.Point([]), "p must have at least one entry"),
-    (lambda: so.Balls([], 2), "radii must have at least one entry"),
-    (lambda: so.Polyhedron(np.zeros((1, 0)), [1]), "G must have at least"),
-    (lambda: so.image(np.zeros((0, 2)), UNIT), "M must have at least one row"),
-    (lambda: UNIT.contains([0, 0], tol="a"), "tol must be"),
-    (lambda: UNIT.contains([0, 0], tol=-1), "tol must be >= 0"),
-    (lambda: UNIT + so.Orthant(3), r"C \+ D: the sets have dim 2 and 3"),
-    (lambda: UNIT & so.Orthant(3), "C & D: .* dim 2 and 3"),
-    (lambda: UNIT + [1, 2, 3], "v must have 2 entries, got 3"),
-    (lambda: UNIT + ["a", "b"], "v must be an array of numbers"),
-    (lambda: UNIT + "far", r"C \+ D: D must be a set, got str"),
-    (lambda: UNIT & [1, 2], "C & D: D must be a set, got list"),
-    (lambda: UNIT - UNIT, "C - D is ambiguous"),
-    (lambda: UNIT * CONE, r"C \* D is not defined"),
-    (lambda: NAN * UNIT, r"scale is nan"),
-    (lambda: UNIT * [1, 2], "scale must be one number"),
-    (lambda: 0 * CONE, "scale 0 of an unbounded set"),
-    (lambda: so.product(), "takes one or more sets"),
-    (lambda: so.product(UNIT, [1]), "takes one or more sets"),
-    (lambda: so.image(EYE, [1, 2]), "C must be a set, got list"),
-    (lambda: so.image(np.eye(3), UNIT), "M has 3 columns but C has dim 2"),
-    (lambda: so.image([[1, NAN]], UNIT), r"M\[0, 1\] is nan"),
-    (
-        lambda: so.Polyhedron([[1.0, 0.0], [0.0, 5e-324], [0.0, 0.0]], [1.0, 1.0, 0.0]),
-        r"row 1 of G is 4.94066e-324.*other units",
-    ),
-    (
-        lambda: so.image([[0.0, 0.0], [5e-324, 1.0]], so.HalfSpace([1.0, 1.0], 1.0)),
-        r"column 0 of M is 4.94066e-324.*other units",
-    ),
-    (lambda: so.image("M", UNIT), "M must be a matrix of numbers"),
-    (so.Polyhedron, "missing a required argument.*give by name"),
-    (so.HalfSpace, "missing a required argument.*give by name"),
-    (lambda: SQUARE & (SQUARE.__class__([2, 2], [3, 3])), "Box is empty"),
-]
-
-
-STATED = [
-    (lambda w: [w >= 0, w[0] ** 2 >= 1], "constraint 1 of build"),
-    (lambda w: w >= 0, "return a list"),
-    (lambda w: [True], "constraint 0"),
-    (lambda w: [w <= cp.Parameter()], "0 .* has a parameter without a value"),
-    (lambda w: [w <= np.zeros(3)], r"build\(w\) raised ValueError"),
-    (lambda w: 1 / 0, "build.*ZeroDivision"),
-    (lambda w: [w >= -1, w <= NAN], "1 .* holds a number that is not finite"),
-    (lambda w: [w <= cp.Parameter(value=INF)], "0 .* holds a number that is not finite"),
-    (
-        lambda w: [1e200 * cp.Parameter(value=1e200) * w <= 1],
-        r"the constraints of build\(w\) hold a number that is not finite",
-    ),
-    (lambda w: [w == cp.Variable(2, integer=True)], "0 .* has an integer variable"),
-    (lambda w: [w >= 0, cp.FiniteSet(w[0], [1, 2])], "1 .* has an integer variable"),
-]
-MALFORMED += [(lambda build=build: so.Constraints(2, build), match) for build, match in STATED]
-
-
-@pytest.mark.parametrize(("make", "message"), MALFORMED, ids=[match for _, match in MALFORMED])
-def test_malformed_input_is_refused_by_name(make, message):
-    error = so.EmptySetError if "is empty" in message else so.InputError
-    with pytest.raises(error, match=message):
-        make()
 
 
 @pytest.mark.parametrize("name", ZOO)
@@ -824,7 +696,7 @@ def test_large_cuts_that_are_no_products_have_pairs(other):
 
 
 @pytest.mark.parametrize(
-    ("count", "full"), [(10, True), (40, False), pytest.param(40, True, marks=pytest.mark.slow)]
+    "count, full", [(10, True), (40, False), pytest.param(40, True, marks=pytest.mark.slow)]
 )
 def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count, full):
     (discs, box), n = discs_and_box(count), 2 * count
@@ -838,7 +710,7 @@ def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count, full):
 def test_the_cone_of_one_unknown_is_taken_by_every_solver():
     C = so.Moving(so.image([[1.5]], so.Orthant(1)), center=lambda t: np.array([2 * t]))
     for solver in ("auto", "osqp", "clarabel"):
-        process = so.SweepingProcess([[2.0]], None, C, [0.0])
+        process = so.SweepingProcess(2.0, None, C, 0.0)
         assert so.solve(process, t_end=1.0, steps=1, solver=solver).status == so.Status.SUCCESS
 
 

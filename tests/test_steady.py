@@ -73,7 +73,7 @@ ROUTES = {
 
 @pytest.mark.parametrize("share", [0.5, 1.0])
 @pytest.mark.parametrize(
-    ("steps", "away"),
+    "steps, away",
     [(100, 0.0), (100, 1e6), pytest.param(100_000, 1.0, marks=pytest.mark.slow)],
 )
 @pytest.mark.parametrize("name", [name for name in ROUTES if name != "exact"])  # it rounds u

@@ -11,8 +11,8 @@ LOAD = so.Sine(3.0, 6.0)
 
 
 def one():
-    C = so.Moving(so.Box([-1], [1]), so.Separable([(LOAD, [1.0])]))
-    return so.SweepingProcess([[1.0]], None, C, [0.0])
+    C = so.Moving(so.Box(-1, 1), LOAD)
+    return so.SweepingProcess(1.0, None, C, 0.0)
 
 
 def thin(gap, speed=3.0, height=0.0):
@@ -155,7 +155,7 @@ def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(name, stiffne
 
 def test_breakpoints_at_nodes_up_to_rounding_and_functions_of_time_divide_no_step():
     for load in (so.Table(0.1 * np.arange(11) * 3, np.arange(11) % 2), lambda t: [np.sin(t)]):
-        center = so.Separable([(load, [2.0])]) if isinstance(load, so.Table) else load
+        center = so.Separable([(load, 2.0)]) if isinstance(load, so.Table) else load
         sol = so.solve(block(center, 1.0, 1.0), t_end=3.0, steps=30)
         assert set(parts(sol)) == {1}
         assert "breakpoints" not in str(sol.plan)
@@ -181,7 +181,7 @@ def test_rough_loads_are_not_met_and_the_plan_says_so():
 def test_a_set_is_looked_at_where_the_parts_ask_for_it():
     height = so.Table([0.0, 0.3, 0.5, 1.0], [1.0, 1.0, -0.1, 1.0])
     C = so.Polyhedron([[1.0], [-1.0]], so.Separable([(height, [1.0, 1.0])]))
-    process = so.SweepingProcess([[0.0]], [[1.0]], C, [0.0])
+    process = so.SweepingProcess(0.0, 1.0, C, 0.0)
     with pytest.raises(so.InputError, match=r"C\(t\) at t = 0\.5 is empty"):
         so.solve(process, steps=[0.0, 0.4, 0.9, 1.0])
 

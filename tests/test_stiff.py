@@ -82,7 +82,7 @@ def test_a_bound_that_is_a_thousandth_above_the_error_is_not_below_that_of_the_r
 @pytest.mark.parametrize("viscosity", [0.0, 1.0])
 def test_auto_is_of_order_two_where_breakpoints_lie_in_steps(viscosity):
     turning = so.Table([0.0, 2.13, 6.31, 10.0], [0.0, 4.0, -4.0, 4.0])
-    load = so.Separable([(turning, [1.0]), (so.Sine(2.0, 3.3), [1.0])])
+    load = so.Separable([(turning, 1.0), (so.Sine(2.0, 3.3), 1.0)])
     process = block(load, viscosity, 1.0)
     grids, errors = (50, 100, 200, 400, 800), []
     for steps in grids:
@@ -105,9 +105,9 @@ def test_which_steps_are_stiff_is_asked_of_each():
 
 def test_a_set_is_looked_at_where_steps_of_implicit_euler_would_ask_for_it():
     def box(t):
-        return so.Box([1.0], [0.0]) if abs(t - 0.4) < 1e-3 else so.Box([-1.0], [1.0])
+        return so.Box(1.0, 0.0) if abs(t - 0.4) < 1e-3 else so.Box(-1.0, 1.0)
 
-    process = so.SweepingProcess([[0.0]], [[1.0]], so.MovingSet(box, dim=1), [0.0])
+    process = so.SweepingProcess(0.0, 1.0, so.MovingSet(box, dim=1), 0.0)
     with pytest.raises(so.InputError, match=r"t = 0\.4"):
         so.solve(process, t_end=1.0, steps=1)
 

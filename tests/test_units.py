@@ -30,15 +30,15 @@ def run(C, seed, F=1.0, L=1.0, T=1.0, **how):
     f = 3 * random.normal(size=C.dim)
     C = so.Moving(C, center=so.Separable([(so.Sine(1.0, 5.0 * T), F * f)]))
     process = so.SweepingProcess(F * T / L * A, F / L * B, C, np.zeros(f.size))
-    how = {"on_unstable": "ignore", **how}
-    return so.solve(process, t_end=2 * T, steps=4, tol=1e-9, **how)
+    how = {"steps": 4, "on_unstable": "ignore", **how}
+    return so.solve(process, t_end=2 * T, tol=1e-9, **how)
 
 
 # what a user states in cvxpy cannot be restated by anybody else: STATED below
 KINDS = [name for name in ZOO if name != "constraints"]
 
 
-@pytest.mark.parametrize(("seed", "name"), list(enumerate(KINDS)))
+@pytest.mark.parametrize("seed, name", list(enumerate(KINDS)))
 def test_units_change_nothing_but_rounding(seed, name):
     sample, random = ZOO[name].sample(seed), np.random.default_rng(seed)
     F, L, T = 2.0 ** random.choice(POWERS, 3)
@@ -121,11 +121,11 @@ CONTACT = np.eye(5)[:, [1, 2, 4]]
 
 
 @pytest.mark.parametrize(
-    ("name", "path"),
+    "name, path",
     [*((name, "full") for name in STATED), ("squares", "eliminated"), ("power cone", "eliminated")],
 )
 def test_constraints_may_be_stated_in_any_units(name, path):
-    how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto"}
+    how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto", "steps": 2}
     found = []
     for F in (1.0, 2.0**40 if path == "full" else 2.0**-40):
         C = so.Constraints(3, lambda w, F=F: STATED[name](w, F))
