@@ -67,7 +67,7 @@ def test_a_uniform_traction_strains_a_block_as_hookes_law_says(kind, element):
     "more", [[], [MaxwellBranch(0.5, E=2.0, nu=0.1)], [{"Hk": 1.0}], [{"Hi": 1.0}]]
 )
 @pytest.mark.parametrize(
-    ("kind", "element"), [("plane stress", "P1"), ("plane stress", "P2"), ("solid", "P1")]
+    "kind, element", [("plane stress", "P1"), ("plane stress", "P2"), ("solid", "P1")]
 )
 def test_the_stress_of_a_block_is_the_traction_on_its_end_whatever_it_is_made_of(
     kind, element, more

@@ -340,7 +340,7 @@ def interrupted(monkeypatch, at, action):
 
 # 549 evaluations in all, of two runs and their bounds: in a run, and in the first one's bound
 @pytest.mark.parametrize("how", [{}, {"save": "last"}, {"callback": lambda info: None}])
-@pytest.mark.parametrize(("at", "end"), [(40, None), (217, 8.0), (400, None)])
+@pytest.mark.parametrize("at, end", [(40, None), (217, 8.0), (400, None)])
 def test_ctrl_c_while_steps_are_refined_returns_a_run_that_says_so(monkeypatch, at, end, how):
     load = so.Separable([(Interrupting(3.0, np.pi), 1.0)])
     process, asked = block(load), {"t_end": 8.0, "steps": 20, "error": 1e-2, **how}
