@@ -7,10 +7,17 @@ their exact variation and their breakpoints, and `Separable` keeps shapes and hi
 
 from __future__ import annotations
 
-from sweepopt.loads.history import History, Piece, breakpoints
+from sweepopt.loads.history import (
+    Constant,
+    History,
+    Piece,
+    Polynomial,
+    Sine,
+    Triangle,
+    breakpoints,
+)
 from sweepopt.loads.separable import Separable
 from sweepopt.loads.table import Table, VectorTable, check_points
-from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
 
 __all__ = [
     "Constant",

@@ -1,19 +1,22 @@
 """Histories: scalar functions of time phi(t) whose variation and breakpoints are known.
 
 The error bound of MATH.md section 4 integrates over steps on which the load is smooth and needs its
-variation there, so a history that is data says both.
+variation there, so a history that is data says both. Here are those given by a formula: constant,
+polynomial, sine, triangle wave.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import HUGE, entries, number, times
-from sweepopt.errors import InputError
+from sweepopt.checks import HUGE, entries, meaning, number, times
+from sweepopt.errors import InputError, shown
 
 Array = NDArray[np.float64]
 
@@ -100,3 +103,214 @@ def interval(a: Any, b: Any) -> tuple[float, float]:
     if b < a:
         raise InputError(f"b = {b:g} is before a = {a:g}; give an interval [a, b]")
     return a, b
+
+
+# ---- given by a formula ---------------------------------------------------------------------
+
+MOST_TURNS = 10_000_000
+"""Turning points of one history on one interval: 80 MB of them; more are a mistake of units."""
+
+
+class _Formula(History):
+    """A history whose fields are finite numbers, and a period among them positive."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            minimum = 0.0 if field.name == "period" else None
+            value = number(field.name, getattr(self, field.name), minimum, strict=True)
+            object.__setattr__(self, field.name, value)
+
+
+@dataclass(frozen=True)
+class Constant(_Formula):
+    """``phi(t) = value``.
+
+    Parameters
+    ----------
+    value : float
+
+    Raises
+    ------
+    InputError
+        If the value is not a finite number.
+
+    Examples
+    --------
+    >>> Constant(3.0)(10.0)
+    3.0
+    """
+
+    value: float = 1.0
+
+    def __call__(self, t: ArrayLike) -> Any:
+        return self.value + 0.0 * as_times(t)
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial(History):
+    """``phi(t) = sum_k coefficients[k] t^k``.
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (m,)
+        The constant one first.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one is not finite; when called, if the value overflows.
+
+    Examples
+    --------
+    >>> ramp = Polynomial([0.0, 1.5])
+    >>> ramp(2.0), Polynomial([0.0, 2.0, -1.0]).variation(0.0, 2.0)
+    (3.0, 2.0)
+    """
+
+    coefficients: Array
+
+    def __init__(self, coefficients: ArrayLike) -> None:
+        object.__setattr__(self, "coefficients", read_only("coefficients", coefficients))
+
+    def __call__(self, t: ArrayLike) -> Any:
+        at = as_times(t)
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = 0.0 * at
+            for coefficient in reversed(self.coefficients.tolist()):
+                value = coefficient + value * at
+        if not np.isfinite(value).all():
+            raise InputError(f"{self!r:.80} overflows at t = {shown(t)}; choose other units")
+        return value
+
+    def turning_points(self, a: float, b: float) -> Array:
+        """Real parts of the roots of the derivative: more points than needed do no harm."""
+        self(np.array([a, b]))  # refuses what overflows
+        # in units of the larger time; a leading term that is nothing beside the others has no root
+        unit = max(abs(a), abs(b)) or 1.0
+        scaled = self.coefficients * unit ** np.arange(self.coefficients.size)
+        slope = np.polynomial.Polynomial(scaled).deriv()
+        roots = unit * np.sort(slope.trim(1e-30 * np.abs(slope.coef).max()).roots().real)
+        return np.asarray(roots[(roots > a) & (roots < b)])
+
+    def piece(self, a: float, b: float) -> Piece:
+        """Itself."""
+        return Piece(0.0, tuple(self.coefficients.tolist()))
+
+    def __repr__(self) -> str:
+        return f"Polynomial({self.coefficients.tolist()})"
+
+
+class _Periodic(_Formula):
+    """A wave with one crest and one trough a period; its first crest is at `crest`."""
+
+    amplitude: float
+    period: float
+
+    @property
+    def crest(self) -> float:
+        """Where one of the crests is."""
+        return self.period / 4.0
+
+    def turning_points(self, a: float, b: float) -> Array:
+        """Crests and troughs strictly inside (a, b)."""
+        half = self.period / 2.0
+        if (b - a) / half > MOST_TURNS:
+            raise InputError(
+                f"period {self.period:g} is too short: there are more than {MOST_TURNS:g} of them "
+                f"between t = {a:g} and {b:g}"
+            )
+        first = math.floor((a - self.crest) / half)
+        k = float(first) + np.arange(math.ceil((b - self.crest) / half) + 1 - first)
+        points = self.crest + k * half
+        return np.asarray(points[(points > a) & (points < b)])
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]: four amplitudes a period, the rest from crest to trough."""
+        a, b = interval(a, b)
+        part = math.fmod(b - a, self.period)  # exact, however many periods there are
+        whole = round((b - a - part) / self.period)
+        rest = super().variation(a, a + part if whole else b)
+        return 4.0 * abs(self.amplitude) * whole + rest
+
+    def largest(self, a: float, b: float) -> float:
+        """The maximum of |phi| on [a, b]: that of one period, however many there are."""
+        return super().largest(a, min(b, a + self.period))
+
+
+@meaning(frequency="; give period, 1 / frequency", omega="; give period, 2 pi / omega")
+@dataclass(frozen=True)
+class Sine(_Periodic):
+    """``phi(t) = offset + amplitude sin(2 pi t / period + phase)``, phase in radians.
+
+    Parameters
+    ----------
+    amplitude, period, phase, offset : float
+        The period is > 0.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the period not positive.
+
+    Examples
+    --------
+    >>> wave = Sine(amplitude=2.0, period=4.0)
+    >>> round(float(wave(1.0)), 12), wave.variation(0.0, 4.0)
+    (2.0, 8.0)
+    """
+
+    amplitude: float
+    period: float
+    phase: float = 0.0
+    offset: float = 0.0
+
+    def __call__(self, t: ArrayLike) -> Any:
+        angle = 2.0 * math.pi * (as_times(t) / self.period) + self.phase
+        wave = math.sin(angle) if type(angle) is float else np.sin(angle)
+        return self.offset + self.amplitude * wave
+
+    @property
+    def crest(self) -> float:
+        """Where 2 pi t / period + phase = pi / 2."""
+        return (0.25 - self.phase / (2.0 * math.pi)) * self.period
+
+    def piece(self, a: float, b: float) -> Piece:
+        """Itself."""
+        wave = (self.amplitude, 2.0 * math.pi / self.period, self.phase)
+        return Piece(a, (self.offset,), (wave,))
+
+
+@meaning(frequency="; give period, 1 / frequency")
+@dataclass(frozen=True)
+class Triangle(_Periodic):
+    """Triangular wave from 0 at t = 0 up to `amplitude` at a quarter of the period.
+
+    Parameters
+    ----------
+    amplitude, period : float
+        The period is > 0.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the period not positive.
+
+    Examples
+    --------
+    >>> wave = Triangle(amplitude=2.0, period=4.0)
+    >>> wave([0.0, 0.5, 1.0, 2.0, 3.0])
+    array([ 0.,  1.,  2.,  0., -2.])
+    >>> wave.breakpoints(0.0, 4.0), wave.variation(0.5, 1.5)
+    (array([1., 3.]), 2.0)
+    """
+
+    amplitude: float
+    period: float
+
+    def __call__(self, t: ArrayLike) -> Any:
+        quarters = (4.0 * (as_times(t) / self.period) - 1.0) % 4.0  # after the crest
+        return self.amplitude * (abs(quarters - 2.0) - 1.0)
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Crests and troughs strictly inside (a, b)."""
+        return self.turning_points(*interval(a, b))
