@@ -238,5 +238,6 @@ def draw_histories(
         gaps = ((0, 0), (0, 1))  # a nan behind each pair of ends
         band = (np.pad(x[ends], gaps, constant_values=np.nan).ravel() for x in (t, values))
         ax.plot(*band, color=look["color"], **wide)
-    ax.plot([], [], color=STICK, label="sticks", **wide)
+    if stuck.any():
+        ax.plot([], [], color=STICK, label="sticks", **wide)
     ax.grid(alpha=0.3)

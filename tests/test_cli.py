@@ -210,6 +210,22 @@ def test_on_a_full_disk_the_results_go_to_a_temporary_folder(monkeypatch, capsys
         assert dataset.sizes["step"] == 3
 
 
+def test_the_sets_of_a_run_are_looked_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    make_scene(tmp_path, SCENE.replace("g = 0.6", 'g = "0.6 + 0.01 * t"'))
+    members, looks = so.MovingSet.members, []
+
+    def counted(self: so.MovingSet, times: Any) -> Any:
+        looks.append(len(times))
+        return members(self, times)
+
+    monkeypatch.setattr(so.MovingSet, "members", counted)
+    assert run("--scheme", "implicit-euler", "--steps", "7") == 0
+    assert len(looks) == 1
+
+
 @pytest.mark.usefixtures("scene")
 def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(monkeypatch, capsys):
     solve = Scene.solve

@@ -109,6 +109,10 @@ def test_the_table_of_effects_counts_what_is_there():
     assert whole.nonzeros_A == alone.process.A.count_nonzero()
     needed = compare_effects("square", without=["elasticity"], steps=1).needed
     assert "viscosity" in needed
+    ratchet = compare_effects("square", changes={"effects.one_way": {"on": "bottom"}}, steps=1)
+    assert {"9 intervals, 9 half-lines", "9 half-lines"} <= {row.sets for row in ratchet}
+    ellipses = compare_effects("sheet", changes={"effects.friction.axes": [1.0, 2.0]}, steps=1)
+    assert ellipses[0].sets.endswith(" ellipses in R^2")
 
 
 FLAT = {
@@ -283,6 +287,12 @@ def test_a_scene_starts_where_a_run_of_it_has_ended(tmp_path):
     for name in ("run.nc", "kept.nc", "out", "out/solution.nc"):
         start = {"initial": {"run": str(tmp_path / name)}}
         assert np.array_equal(read_scene("square", changes=start).problem.u0, half.u[-1]), name
+    half.to_xarray().drop_vars("u").to_netcdf(tmp_path / "less.nc", engine="h5netcdf")
+    with pytest.raises(
+        InputError,
+        match=r"^initial.run: .*less.nc has certificate, .* velocity, but not the variable u, of",
+    ):
+        read_scene("square", changes={"initial": {"run": str(tmp_path / "less.nc")}})
     other = {"initial": {"run": str(tmp_path / "run.nc")}}
     with pytest.raises(InputError, match=r"^initial.run: .* 72 unknowns of .*, the scene 54 of u"):
         read_scene(SOLID, changes=other)

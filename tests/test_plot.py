@@ -177,6 +177,15 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim, tmp_path):
     assert ("of 20 components" in ax.get_legend().get_title().get_text()) == (dim == 20)
 
 
+def test_a_legend_says_sticks_only_where_something_does():
+    def words(ax):
+        return [text.get_text() for text in ax.get_legend().get_texts()]
+
+    flows = so.EvolutionVI(1.0, 1.0, so.Separable([(so.Sine(1.0, 7.0), 1.0)]), u0=0.0)
+    assert words(so.solve(flows, t_end=1.0, steps=5).plot(Figure().add_subplot())) == ["u[0]"]
+    assert words(stick_slip(1).plot(Figure().add_subplot())) == ["u[0]", "sticks"]
+
+
 def test_one_unknown_is_drawn_with_its_velocity_and_the_force_inside_of_the_tube():
     solution = stick_slip(1)
     u, velocity, force = solution.plot().figure.axes

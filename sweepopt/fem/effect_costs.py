@@ -148,7 +148,9 @@ def _sets(scene: Scene) -> str:
     """How many sets of each shape."""
     counted: Counter[str] = Counter()
     for one in scene.yields:
-        size = one.rows.block
-        name = "intervals" if size == 1 else f"balls in R^{size}"
-        counted[name if one.metric is None else "ellipses"] += len(one.rows.weight)
+        size, cone = one.rows.block, one.slopes is not None
+        name = f"{'cones' if cone else 'balls' if one.metric is None else 'ellipses'} in R^{size}"
+        if size == 1:
+            name = "intervals" if one.shape == "ball" else "half-lines"
+        counted[name] += len(one.rows.weight)
     return ", ".join(f"{m} {name}" for name, m in counted.items())

@@ -75,7 +75,7 @@ class Initial(Record):
         labels = np.full(size, "", dtype=object)
         for name, part in fields.items():
             labels[part] = name
-        last, kinds = run.get("u", u0[:0]), run.get("field", labels)
+        last, kinds = run["u"], run.get("field", labels)
         if last.shape != u0.shape or not np.array_equal(kinds, labels):
             raise InputError(
                 f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "

@@ -175,7 +175,7 @@ def space_time(report: Report) -> Any:
     name_axis(report, figure.colorbar(image, ax=panel).ax.yaxis, "slip rate", "velocity")
     panel.set_ylim(_slipped(slip))
     name_axis(report, panel.xaxis, "time", "time")
-    legend_of(figure, {STICK: "sticks"})
+    legend_of(figure, {STICK: "sticks"} if rate.mask.any() else {})
     return figure
 
 

@@ -275,12 +275,12 @@ def legend_of(figure: Any, names: Mapping[str, str]) -> None:
 
 
 def states_of(slip: Slip | None) -> dict[str, str]:
-    """What the colours of nodes with friction mean; of vectors slip has no sign."""
+    """What the colours of nodes with friction mean that occur; of vectors slip has no sign."""
     if slip is None:
         return {}
-    if slip.velocity.ndim > 2:
-        return {STATE_COLOURS[0]: "sticks", STATE_COLOURS[1]: "slips"}
-    return {STATE_COLOURS[state]: name.replace("_", " ") for state, name in STATES.items()}
+    names = {0: "sticks", 1: "slips"} if slip.velocity.ndim > 2 else STATES
+    present = {k: name.replace("_", " ") for k, name in names.items() if (slip.state == k).any()}
+    return {STATE_COLOURS[k]: name for k, name in present.items()}
 
 
 def _steps_at(report: Report, t: Any) -> Any:

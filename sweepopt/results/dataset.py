@@ -245,7 +245,7 @@ def last_state(path: Path, *names: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it is no such file.
+        If it is no such file, or has not the first of them.
     MissingExtraError
         If xarray is not installed.
     """
@@ -253,11 +253,17 @@ def last_state(path: Path, *names: str) -> dict[str, Any]:
         import xarray
     try:
         with xarray.open_dataset(path, engine="h5netcdf") as run:
-            last = run.isel(time=-1)
+            last, there = run.isel(time=-1, missing_dims="ignore"), ", ".join(map(str, run))
             kept: dict[str, Any] = {name: last[name].values for name in names if name in last}
-            return kept | {name: run.attrs[name] for name in names if name in run.attrs}
+            kept |= {name: run.attrs[name] for name in names if name in run.attrs}
     except Exception as error:  # h5py has no list of what it raises
         raise InputError(f"{path} is no NetCDF file of a run ({error})") from error
+    if names[0] not in kept:
+        raise InputError(
+            f"{path} has {there or 'no variables'}, but not the variable {names[0]}, of all "
+            "unknowns; give solution.nc of sweepopt run, or a file of save= or to_xarray"
+        )
+    return kept
 
 
 # ---- datasets -----------------------------------------------------------------------------------
