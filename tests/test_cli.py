@@ -217,7 +217,7 @@ def test_the_sets_of_a_run_are_looked_at_once(
     make_scene(tmp_path, SCENE.replace("g = 0.6", 'g = "0.6 + 0.01 * t"'))
     members, looks = so.MovingSet.members, []
 
-    def counted(self: so.MovingSet, times: Any) -> Any:
+    def counted(self, times):
         looks.append(len(times))
         return members(self, times)
 

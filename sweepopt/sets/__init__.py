@@ -20,7 +20,6 @@ from sweepopt.sets.curves import basis, products, to_bernstein
 from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance, parallel_rows
-from sweepopt.sets.lifted import Lifted
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent
 from sweepopt.sets.operations import image, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
@@ -45,7 +44,6 @@ __all__ = [
     "Features",
     "HalfSpace",
     "InMetric",
-    "Lifted",
     "Moving",
     "MovingOffsets",
     "MovingSet",

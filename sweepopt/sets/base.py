@@ -491,6 +491,9 @@ class ConvexSet(Operators, ABC):
         """
         return self.algebra.epigraph(self, p)
 
+    def start_at(self, v: np.ndarray, s: np.ndarray, n: np.ndarray) -> None:
+        """Find the projection of v from points s of the parts and normals n; formulas need none."""
+
     def is_beyond(self, w: np.ndarray, distance: float) -> bool:
         """Whether it is known without a projection that w is further from C than that."""
         return False

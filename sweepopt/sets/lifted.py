@@ -162,9 +162,8 @@ class Lifted(ConvexSet):
         near: Projection = self._kept(v, self._projection)
         return near
 
-    def start_at(self, v: np.ndarray, start: Start) -> None:
-        """Find `near(v)` from a start."""
-        self._last = v.tobytes(), self._projection(v, start)
+    def start_at(self, v: np.ndarray, s: np.ndarray, n: np.ndarray) -> None:
+        self._last = v.tobytes(), self._projection(v, Start(s, n))
 
     def _projection(self, v: np.ndarray, start: Start | None = None) -> Projection:
         near = self._projector(v.copy(), start)

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
-from sweepopt.sets import Blocks, ConvexSet, InMetric, Lifted, Polyhedron, Start, shape_of
+from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
@@ -114,10 +114,9 @@ class _Iteration:
         if self._metric[0] is not C:
             self._metric = C, InMetric(C, dense(self._M.M))
         z, self._start = self._metric[1](q, self._start)
-        if isinstance(C, Lifted):
-            w, _ = self._M.apply(z, q, NEGLIGIBLE)
-            T = C.weights(self._M.diagonal)
-            C.start_at(w - T * z, Start(self._start.s, T[0] * self._start.n))
+        w, _ = self._M.apply(z, q, NEGLIGIBLE)
+        T = C.weights(self._M.diagonal)
+        C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
         return z
 
     def _iterated(
