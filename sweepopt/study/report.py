@@ -91,7 +91,7 @@ def halving(table: DataFrame) -> DataFrame:
     -------
     pandas DataFrame
         A row a run, with the columns of its cell, one for each axis in `AXES` called "more steps"
-        for example: the factor of the time, inf where the error does not fall, nan where no next
+        for example: the factor of the time, inf where the error hardly falls, nan where no next
         cell was measured; and `cheapest`, the axis of the least factor, "" if all are above MUCH.
     """
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
@@ -103,8 +103,8 @@ def halving(table: DataFrame) -> DataFrame:
         fall = np.log(cells.error / following.error)
         # more accurate in less time is possible: times are measured
         rise = np.log(following.wall / cells.wall).clip(lower=0.0)
-        factor = np.exp((rise * np.log(2) / fall).clip(upper=700.0))
-        factors[words] = factor.where(~(fall <= 0), np.inf)
+        # a factor above 2^100 is none
+        factors[words] = np.exp2((rise / fall).where(~(fall <= rise / 100), np.inf))
     cells = known.assign(**factors)
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
     best = cells[cells.error < NOTABLE * faster].sort_values("problem", kind="stable")
