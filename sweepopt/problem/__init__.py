@@ -2,17 +2,6 @@
 
 from __future__ import annotations
 
-from sweepopt.problem.interpolation import (
-    DERIVATIVE,
-    GAUSS,
-    TO_BERNSTEIN,
-    WEIGHTS,
-    Interpolated,
-    Intervals,
-    increments,
-    interpolate,
-    smooth_intervals,
-)
 from sweepopt.problem.motion import (
     Motion,
     Terms,
@@ -33,13 +22,7 @@ from sweepopt.problem.process import (
 )
 
 __all__ = [
-    "DERIVATIVE",
-    "GAUSS",
-    "TO_BERNSTEIN",
-    "WEIGHTS",
     "EvolutionVI",
-    "Interpolated",
-    "Intervals",
     "Motion",
     "Norms",
     "SweepingProcess",
@@ -47,11 +30,8 @@ __all__ = [
     "TimeFunction",
     "applied",
     "histories_of",
-    "increments",
-    "interpolate",
     "motion",
     "proportion",
-    "smooth_intervals",
     "squares",
     "sweeping",
 ]

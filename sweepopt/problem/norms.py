@@ -22,6 +22,9 @@ class Norms:
         Whether A is singular, so that B takes its place; B must then be positive definite.
     beta : float
         |x|_A^2 >= beta |x|^2; 0 where no such number is proved.
+    coercivity : float
+        tau for which w = P_C(A v' + B v - tau v') makes 2 G + |r|^2 / beta least: beta, at least
+        2 G + |r|^2 in the dual norm of A; 0 where A is singular.
     lam, Lam : float
         Below and above all eigenvalues of A^-1 B; 0 where A is singular; Lam is inf if nothing is
         proved.
@@ -40,6 +43,7 @@ class Norms:
                 "with a run of twice the steps"
             )
         self._metric, self.beta = metric, metric.smallest_eigenvalue()
+        self.coercivity = 0.0 if self.weak else self.beta
         self.lam, self.Lam = 0.0, 0.0 if self.weak else process.Lam
         if not (self.weak or self._weak is None):
             self.lam = math.nextafter(1 / largest_ratio(self._weak, process.A), 0.0)
@@ -62,14 +66,6 @@ class Norms:
     def dual_B(self, w: np.ndarray) -> np.ndarray:
         """|w|_{B^-1} over the last axis; infinite where B has no inverse."""
         return _dual(self._weak, w)
-
-    @property
-    def coercivity(self) -> float:
-        """tau for which w = P_C(A v' + B v - tau v') makes 2 G + |r|^2 / beta least.
-
-        That is beta, at least 2 G + |r|^2 in the dual norm of A; 0 where A is singular.
-        """
-        return 0.0 if self.weak else self.beta
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""

@@ -20,20 +20,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import EmptySetError
-from sweepopt.problem import (
+from sweepopt.problem import Motion, Norms, SweepingProcess, TimeFunction, motion
+from sweepopt.results.interpolation import (
     DERIVATIVE,
     GAUSS,
     TO_BERNSTEIN,
     WEIGHTS,
     Interpolated,
     Intervals,
-    Motion,
-    Norms,
-    SweepingProcess,
-    TimeFunction,
     increments,
     interpolate,
-    motion,
     smooth_intervals,
 )
 from sweepopt.results.nodes import Nodes, force_along

@@ -18,7 +18,7 @@ import numpy as np
 from sweepopt.checks import instant
 from sweepopt.errors import InputError
 from sweepopt.loads import History, Separable, VectorTable, breakpoints
-from sweepopt.problem.motion import Motion, TimeFunction
+from sweepopt.problem import Motion, TimeFunction
 from sweepopt.sets import basis, to_bernstein
 
 
