@@ -10,6 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
+from sweepopt.sets import Features
 
 BOX = so.Box(-1, 1)
 
@@ -136,3 +137,47 @@ def test_constraints_tell_their_price_and_what_to_use_instead():
     assert "as these constraints are linear: so.Polyhedron" in repr(linear)
     curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
     assert "so.Ball" in repr(curved)
+
+
+class Disc(so.ConvexSet):
+    """A user's disc of radius 1/2, with what a test gives in place of the right things."""
+
+    def __init__(self, **wrong):
+        self.dim, self.offsets = 2, np.array([0.5])
+        self.y, self.law = cp.Variable(1), lambda p, y: Features([y], [cp.norm(p) <= y[0]])
+        vars(self).update(wrong)
+
+    def support(self, z):
+        return 0.5 * np.hypot(*z)
+
+    def project(self, w):
+        return w * (0.5 / max(np.hypot(*w), 0.5))
+
+    def features(self, p):
+        return self.law(p, self.y)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"law": lambda p, y: None}, r"Disc.features must return Features\(\[y\], .*, got None"),
+        ({"law": lambda p, y: (y, cp.norm(p) <= y)}, "Disc.features must return Features"),
+        ({"y": cp.Variable(2)}, "Disc.features: y has 2 entries for 1 offsets; give one each"),
+        (
+            {"law": lambda p, y: Features([y], [2 * cp.norm(p) <= y[0]])},
+            r"features contradicts support: .* least <offsets, y> is 0.68\d*, but .* = 0.34",
+        ),
+        ({"law": lambda p, y: Features([y], [cp.sqrt(y[0]) <= 1])}, "constraints are not convex"),
+        ({"offsets": 0.5}, r"offsets must be an array of shape \(1,\), got 0.5"),
+        ({"offsets": None}, "Disc.offsets must be an array of numbers, got None"),
+    ],
+)
+def test_a_set_of_ones_own_is_checked_before_any_step(wrong, message):
+    load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
+    right, other = (
+        so.EvolutionVI(np.eye(2), None, load=load, dissipation=D, u0=[0.0, 0.0])
+        for D in (Disc(), Disc(**wrong))
+    )
+    assert so.solve(right, t_end=1.0, steps=4).success
+    with pytest.raises(so.InputError, match=message):
+        so.solve(other, t_end=1.0, steps=4)

@@ -627,7 +627,7 @@ def _check_support(C: ConvexSet) -> None:
 
 
 def _check_projection(C: ConvexSet) -> None:
-    """Spot-check that v - P(v) is normal to C at P(v) in C, by the support function."""
+    """Spot-check that v - P(v) is normal to C at P(v) in C, by the support function; features."""
     name, direction = type(C).__name__, np.cos(np.arange(C.dim) + 1.0)
     widths = np.abs([C.support(direction), C.support(-direction)])
     reach = 2 * widths[np.isfinite(widths)].sum() / (direction @ direction) or 1.0
@@ -644,6 +644,7 @@ def _check_projection(C: ConvexSet) -> None:
                     f"z = {'v - w' if z is p else 'a direction'} it is <z, w> = {product:g}, but "
                     f"support(z) = {sigma:g}, which is the supremum of <z, w> over C"
                 )
+    C.check_features()
 
 
 def proportion(A: Matrix, B: Matrix | None) -> float | None:
