@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
         If finer grids do not help any more.
     """
     last: float | None = None
-    solution: Solution | None = None
+    solution: Any = None
     while len(times) <= STEPS:
         try:
             solution = run(times)
