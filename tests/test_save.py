@@ -364,7 +364,8 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path):
             assert np.array_equal(sol.states.velocity([0, -1]), whole.velocity[[0, -1]])
             loaded = so.Solution.load(file)
             assert np.array_equal(loaded.velocity, whole.velocity)
-            assert np.array_equal(loaded.stats["relative"], whole.stats["relative"])
+            for name in ("relative", "solver"):
+                assert np.array_equal(loaded.stats[name], whole.stats[name])
         except so.CheckpointError as error:
             assert "run.nc is damaged" in str(error)  # noqa: PT017
             found += 1
@@ -377,11 +378,20 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path):
         try:
             with xr.open_dataset(file, engine="h5netcdf") as dataset:
                 u, velocity = dataset.u.values, dataset.velocity.values
-        # by version of h5netcdf; names of solvers are text, which has no checksum
+        # by version of h5netcdf
         except (OSError, KeyError, RuntimeError, AttributeError, UnicodeDecodeError):
             continue
         assert np.array_equal(u, whole.u)
         assert np.array_equal(velocity, whole.velocity)
+
+
+def test_every_variable_of_a_file_has_a_checksum(tmp_path):
+    sol = so.solve(block(so.Sine(2.0, period=4.0)), t_end=2.0, steps=5)
+    sol.save(tmp_path / "run.nc")
+    with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as dataset:
+        without = [name for name, x in dataset.variables.items() if not x.encoding["fletcher32"]]
+        assert "solver" in dataset.variables
+    assert not without
 
 
 # ---- copies ---------------------------------------------------------------------------------

@@ -64,8 +64,8 @@ class _Storage(FileIO):
 class NetCDFSink:
     """Appends times, states and velocities to a file that takes its name when it is closed.
 
-    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`. Numbers have
-    checksums.
+    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`. All variables
+    have checksums.
 
     Attributes
     ----------
