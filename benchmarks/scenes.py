@@ -3,7 +3,7 @@
     python benchmarks/scenes.py                       # all at their default sizes
     python benchmarks/scenes.py pipe --size 29        # 5,046 triangles
     python benchmarks/scenes.py --memory --size 10    # a block of 18,879 unknowns, no loop
-    python benchmarks/scenes.py --memory              # of 107,855: 4 minutes, 4.0 GB
+    python benchmarks/scenes.py --memory              # of 107,855: 4 minutes, 3 GB
 
     tread   3D block on a road, friction in discs          size: cells along its height
     tube    section of a tube, friction on few nodes       size: refinements of its mesh

@@ -181,7 +181,7 @@ def test_a_legend_says_sticks_only_where_something_does():
     def words(ax):
         return [text.get_text() for text in ax.get_legend().get_texts()]
 
-    flows = so.EvolutionVI(1.0, 1.0, so.Separable([(so.Sine(1.0, 7.0), 1.0)]), u0=0.0)
+    flows = so.EvolutionVI(1.0, 1.0, load=so.Separable([(so.Sine(1.0, 7.0), 1.0)]), u0=0.0)
     assert words(so.solve(flows, t_end=1.0, steps=5).plot(Figure().add_subplot())) == ["u[0]"]
     assert words(stick_slip(1).plot(Figure().add_subplot())) == ["u[0]", "sticks"]
 

@@ -319,7 +319,7 @@ def off_screen() -> Any:
 
     It is tried in another process, which ends where there is no library to draw with.
     """
-    if sys.platform == "linux":  # not by a window system first
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     trial = "import pyvista; pyvista.Plotter(off_screen=True).screenshot(return_img=True)"
     if (

@@ -419,37 +419,32 @@ class Discretisation(Brief):
             With one that integrates squares of strains in cells, of a degree less than u: of P1
             elements the centroid.
         """
-        inside, cells = self.mesh.subdomains or {}, None
-        element, degree = self.scalar.elem if nodal else self._element, self.scalar.elem.maxdeg
-        groups: dict[str, Indices] = dict(inside)
+        inside, degree = self.mesh.subdomains or {}, self.scalar.elem.maxdeg
+        nodes, groups, d = self.scalar.element_dofs, dict[str, Indices](inside), self.mesh.dim()
+        kind, parts, order, rule = skfem.CellBasis, dict[str, Indices](), 2 * degree + 2, None
         if all(name in inside for name in on):
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
+            nodes, parts = nodes[:, cells], {"elements": cells}
         elif tuple(on) != (BODY,) or BODY in (self.mesh.boundaries or {}):
             facets, groups = self.facets(what, on)
-            rule = self.rule(self.mesh.dim() - 1) if nodal else None
-            order = 2 * degree + 2
-            basis = skfem.FacetBasis(
-                self.mesh, element, facets=facets, intorder=order, quadrature=rule
-            )
-            return Place(basis, groups, self.facet_nodes(facets))
-        nodes = self.scalar.element_dofs
-        if not (nodal or strains) and cells is None:
-            basis = self.basis
-        else:
-            d = self.mesh.dim()
-            rule, order = self.rule(d) if nodal else None, 2 * degree + 2
-            if strains:
-                order = 2
-                if degree == 1:  # the centroid, exact on linear functions
-                    rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
-            basis = skfem.CellBasis(
-                self.mesh, element, elements=cells, intorder=order, quadrature=rule
-            )
-            if nodal and self.lumped:  # each node counts as one, in however many cells it is
-                times = np.bincount(basis.element_dofs.ravel(), minlength=basis.N)
-                basis.dx = 1.0 / times[basis.element_dofs.T]
-        return Place(basis, groups, nodes if cells is None else nodes[:, cells])
+            kind, parts, d = skfem.FacetBasis, {"facets": facets}, d - 1
+            nodes = self.facet_nodes(facets)
+        elif not (nodal or strains):
+            return Place(self.basis, groups, nodes)
+        if nodal:
+            rule = self.rule(d)
+        elif strains and kind is skfem.CellBasis:
+            order = 2
+            if degree == 1:  # the centroid, exact on linear functions
+                rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
+        element = self.scalar.elem if nodal else self._element
+        basis = kind(self.mesh, element, intorder=order, quadrature=rule, **parts)
+        if nodal and self.lumped and kind is skfem.CellBasis:
+            # each node counts as one, in however many cells it is
+            times = np.bincount(basis.element_dofs.ravel(), minlength=basis.N)
+            basis.dx = 1.0 / times[basis.element_dofs.T]
+        return Place(basis, groups, nodes)
 
     def rule(self, dimension: int) -> tuple[Array, Array]:
         """A quadrature on cells or facets whose points are the nodes, in their order.
