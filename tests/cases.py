@@ -73,6 +73,11 @@ def embedded(this, others=9):
     return so.SweepingProcess(A, grown(B, ratio), C, mix[:, others:] @ alone.u0)
 
 
+def slope(steps, errors):
+    """The observed order: errors are as steps to the power of minus that."""
+    return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
 def as_function(C):
     """C(t) with its load as a function of which nothing else is known."""
     if isinstance(C, so.Moving):

@@ -158,7 +158,7 @@ class Disc(so.ConvexSet):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    "wrong, message",
     [
         ({"law": lambda p, y: None}, r"Disc.features must return Features\(\[y\], .*, got None"),
         ({"law": lambda p, y: (y, cp.norm(p) <= y)}, "Disc.features must return Features"),

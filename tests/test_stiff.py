@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import skfem
-from cases import block, case
+from cases import block, case, slope
 
 import sweepopt as so
 from sweepopt.cli import main
@@ -90,7 +90,7 @@ def test_auto_is_of_order_two_where_breakpoints_lie_in_steps(viscosity):
         sol = so.solve(process, **how, tol=1e-9)
         errors.append(np.abs(sol.u - so.solve(process, **how, scheme="exact").u).max())
         assert sol.plan.breakpoints.size == 2
-    assert -np.polyfit(np.log(grids), np.log(errors), 1)[0] >= 1.9
+    assert slope(grids, errors) >= 1.9
     assert errors[0] <= 0.02
 
 
@@ -145,7 +145,7 @@ def test_sdirk32_is_of_order_two(name):
     how = {"t_end": this.t_end, "scheme": "sdirk32", "tol": 1e-9}
     grids = (101, 211, 503, 1009, 2003)
     errors = [this.error(so.solve(this.process, steps=n, **how)) for n in grids]
-    order = -np.polyfit(np.log(grids), np.log(errors), 1)[0]
+    order = slope(grids, errors)
     assert order >= 1.9
     assert errors[0] <= 1.9 * min(this.errors[scheme]["101"] for scheme in BEST_OF)
 
