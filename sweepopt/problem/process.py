@@ -38,6 +38,7 @@ from sweepopt.sets import (
     MovingSet,
     Point,
     StateDependent,
+    check_features,
     exchanged,
     image,
 )
@@ -644,7 +645,7 @@ def _check_projection(C: ConvexSet) -> None:
                     f"z = {'v - w' if z is p else 'a direction'} it is <z, w> = {product:g}, but "
                     f"support(z) = {sigma:g}, which is the supremum of <z, w> over C"
                 )
-    C.check_features()
+    check_features(C)
 
 
 def proportion(A: Matrix, B: Matrix | None) -> float | None:

@@ -24,7 +24,7 @@ from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, State
 from sweepopt.sets.operations import image, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
-from sweepopt.sets.programs import CAREFUL, in_turn
+from sweepopt.sets.programs import CAREFUL, check_features, in_turn
 from sweepopt.sets.projection import InMetric, Start
 from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
 
@@ -60,6 +60,7 @@ __all__ = [
     "WholeSpace",
     "basis",
     "binary",
+    "check_features",
     "exchanged",
     "facets",
     "image",

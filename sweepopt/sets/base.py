@@ -27,12 +27,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import entries, number, vector
+from sweepopt.checks import number, vector
 from sweepopt.display import Brief, svg
-from sweepopt.errors import InputError, SweepoptError, called, shown
+from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
 from sweepopt.sets.curves import products
-from sweepopt.sets.cvxpy_lock import in_turn
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -535,40 +534,6 @@ class ConvexSet(Operators, ABC):
     def _distance(self, other: ConvexSet) -> float | None:
         """A bound that the family knows; asked in both orders, the smaller one counts."""
         return None
-
-    @in_turn
-    def check_features(self) -> None:
-        """Spot-check that `offsets` and `features` give the support function.
-
-        Raises
-        ------
-        InputError
-            Naming what is wrong.
-        """
-        import cvxpy as cp
-
-        name, z = f"{type(self).__name__}.features", np.cos(np.arange(self.dim) + 1.0)
-        try:
-            given = called(self.features, cp.Constant(z), name)
-        except NotImplementedError:  # of small programs the projection is enough
-            return
-        h = entries(f"{type(self).__name__}.offsets", getattr(self, "offsets", None))
-        if np.shape(self.offsets) != h.shape:
-            raise InputError(f"offsets must be an array of shape ({h.size},), got {h[0]:g}")
-        if not (isinstance(given, tuple) and [type(x) for x in given] == [list, list]):
-            raise InputError(f"{name} must return Features([y], [constraints]), got {shown(given)}")
-        y, size = cp.hstack(given[0]), float(np.abs(h).max()) or 1.0
-        if y.size != h.size:
-            raise InputError(f"{name}: y has {y.size} entries for {h.size} offsets; give one each")
-        problem = cp.Problem(cp.Minimize(h / size @ y), given[1])
-        if not problem.is_dcp():
-            raise InputError(f"{name}: its constraints are not convex (DCP of cvxpy)")
-        sigma, least = self.support(z), size * problem.solve(solver="CLARABEL")
-        if not (sigma == least or abs(sigma - least) <= 1e-3 * max(size, abs(sigma))):
-            raise InputError(
-                f"{name} contradicts support: for z = {shown(z)} the least <offsets, y> is "
-                f"{least:g}, but support(z) = {sigma:g}"
-            )
 
     def require_nonempty(self, where: str = "C") -> None:
         """Raise EmptySetError if C has no point."""

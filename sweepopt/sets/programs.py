@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
-from sweepopt.errors import EmptySetError, SweepoptError
+from sweepopt.checks import entries
+from sweepopt.errors import EmptySetError, InputError, SweepoptError, called, shown
 from sweepopt.sets.base import ConvexSet, binary
 
 if TYPE_CHECKING:
@@ -52,6 +53,41 @@ def in_turn(function: Callable[Arguments, Result]) -> Callable[Arguments, Result
             return function(*args, **kwargs)
 
     return alone
+
+
+@in_turn
+def check_features(C: ConvexSet) -> None:
+    """Spot-check that the `offsets` and `features` give the support function.
+
+    Raises
+    ------
+    InputError
+        Naming what is wrong.
+    """
+    import cvxpy as cp
+
+    name, z = f"{type(C).__name__}.features", np.cos(np.arange(C.dim) + 1.0)
+    try:
+        given = called(C.features, cp.Constant(z), name)
+    except NotImplementedError:  # of small programs the projection is enough
+        return
+    h = entries(f"{type(C).__name__}.offsets", getattr(C, "offsets", None))
+    if np.shape(C.offsets) != h.shape:
+        raise InputError(f"offsets must be an array of shape ({h.size},), got {h[0]:g}")
+    if not (isinstance(given, tuple) and [type(x) for x in given] == [list, list]):
+        raise InputError(f"{name} must return Features([y], [constraints]), got {shown(given)}")
+    y, size = cp.hstack(given[0]), float(np.abs(h).max()) or 1.0
+    if y.size != h.size:
+        raise InputError(f"{name}: y has {y.size} entries for {h.size} offsets; give one each")
+    problem = cp.Problem(cp.Minimize(h / size @ y), given[1])
+    if not problem.is_dcp():
+        raise InputError(f"{name}: its constraints are not convex (DCP of cvxpy)")
+    sigma, least = C.support(z), size * problem.solve(solver="CLARABEL")
+    if not (sigma == least or abs(sigma - least) <= 1e-3 * max(size, abs(sigma))):
+        raise InputError(
+            f"{name} contradicts support: for z = {shown(z)} the least <offsets, y> is "
+            f"{least:g}, but support(z) = {sigma:g}"
+        )
 
 
 @in_turn
