@@ -221,7 +221,7 @@ def test_equations_that_couple_unknowns_are_those_of_the_rotated_unknowns(double
     e, d = E @ w0, np.ones(2 * n) + np.vstack([N, -N]) @ w0
     G, h = np.vstack([E, -2 * E, N, -N]), np.concatenate([e, -2 * e, d])
     if double:
-        G, h = np.vstack([G, 3 * E, -E]), np.concatenate([h, 3 * e, -e])
+        G, h = np.vstack([G, 4 * E, -E]), np.concatenate([h, 4 * e, -e])
     f = random.normal(size=n)
     Q = np.linalg.qr(E.T, mode="complete")[0]
     across, along = Q[:, :k], Q[:, k:]
