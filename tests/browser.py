@@ -28,8 +28,8 @@ def chromium(profile):
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     service = webdriver.ChromeService(chromedriver)
     with webdriver.Chrome(options=options, service=service) as driver:
-        driver.set_page_load_timeout(60)
-        driver.set_script_timeout(60)
+        driver.set_page_load_timeout(300)
+        driver.set_script_timeout(300)
         driver.get("about:blank")  # leaves Chromium's own first page
         driver.get_log("performance")
         yield driver

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import sweepopt as so
 from sweepopt.study.problems import Spiral, problem
@@ -71,6 +72,11 @@ def embedded(this, others=9):
         C = so.Moving(so.image(E.T, alone.C.shape), so.Separable(load))
     A = grown(alone.A, 1.0 if alone.A.any() else 0.0)
     return so.SweepingProcess(A, grown(B, ratio), C, mix[:, others:] @ alone.u0)
+
+
+def slow(*values):
+    """Values of a test that are left to -m slow."""
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def slope(steps, errors):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import SETS, block, case
+from cases import SETS, block, case, slow
 
 import sweepopt as so
 from sweepopt.integrate import ProgressBar
@@ -121,7 +121,7 @@ SLOW = [
     [
         (1.0, "sdirk2", 5),
         (0.0, "sdirk2", 5),
-        *(pytest.param(*each, 32, marks=pytest.mark.slow) for each in SLOW),
+        *(slow(*each, 32) for each in SLOW),
     ],
 )
 def test_nine_of_ten_random_processes_meet_the_tolerance_and_none_is_far_from_it(A, scheme, seeds):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import block
+from cases import block, slow
 from processes import started
 from test_reduction import process as chain
 from test_return_mapping import pipe
@@ -232,7 +232,7 @@ MOMENTS = [RANDOM.uniform(0.0, 1.2) for _ in range(25)]
     "name, delays, steps, every, alive",
     [
         ("full", [0.1], 200, 5, 1),
-        pytest.param("proportional", MOMENTS, 1200, 5, 15, marks=pytest.mark.slow),
+        slow("proportional", MOMENTS, 1200, 5, 15),
     ],
     ids=["once", "25 times"],
 )

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import SETS, block, case, random_process, slope
+from cases import SETS, block, case, random_process, slope, slow
 
 import sweepopt as so
 from sweepopt.study.problems import PROBLEMS
@@ -99,7 +99,7 @@ def test_the_error_of_an_inexact_solver_is_inside_the_bound(name, scheme):
 
 @pytest.mark.parametrize(
     "steps, median, worst",
-    [(101, 1.5, 3.0), pytest.param(211, 1.3, 2.0, marks=pytest.mark.slow)],
+    [(101, 1.5, 3.0), slow(211, 1.3, 2.0)],
 )
 def test_the_bound_of_first_order_schemes_is_close_to_their_error(steps, median, worst):
     runs = [
@@ -425,7 +425,7 @@ def check_bound(seed, rate_independent):
     assert bound.lower <= bound
 
 
-MANY = [pytest.param(range(k, k + 40), marks=pytest.mark.slow) for k in range(1000, 1400, 40)]
+MANY = [slow(range(k, k + 40)) for k in range(1000, 1400, 40)]
 
 
 @pytest.mark.parametrize("rate_independent", [False, True])

@@ -8,6 +8,7 @@ passes through as it is. 500 inputs here, the same every time; `-m slow` draws 1
 import fuzz_files as files
 import fuzz_runs as runs
 import pytest
+from cases import slow
 from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
 from fuzz_judge import Hang, judge
 from fuzz_sets import convex, moving
@@ -63,7 +64,7 @@ def folder(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("times", [1, slow(20)])
 @pytest.mark.parametrize("name", TARGETS)
 def test_bad_input_gets_an_error_of_ours_or_a_right_answer(name, times, folder, monkeypatch):
     monkeypatch.chdir(folder)  # a checkpoint may be written where a hostile word names a file
@@ -88,7 +89,7 @@ def test_bad_input_gets_an_error_of_ours_or_a_right_answer(name, times, folder, 
     assert asked >= inputs * times
 
 
-@pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("times", [1, slow(20)])
 def test_right_input_gets_a_right_answer(times):
     @profile(RIGHT_RUNS, times)
     @given(runs.right_run())

@@ -6,6 +6,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from cases import slow
 
 import sweepopt as so
 from sweepopt.study.hard import FAMILIES, Program, suite
@@ -79,7 +80,7 @@ def test_hard_families_are_met_for_every_seed_and_solver(family, seed):
     assert wrong(judged(family, seeds=[seed])) == []
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, slow(1)])
 def test_combinations_drawn_by_chance_are_met(seed):
     found = judged("unbounded", seeds=[seed], solvers=["auto", "osqp", "clarabel"], combinations=4)
     assert len({row.drawn for row in found}) == 5

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from cases import slow
 from matplotlib import rc_context
 from matplotlib.collections import PathCollection, QuadMesh, TriMesh
 from matplotlib.colors import to_hex, to_rgb
@@ -215,7 +216,7 @@ def test_two_unknowns_are_drawn_as_a_path_beside_the_set():
     assert len(force.lines) == 6
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("dim", [1, slow(2), 3])
 def test_an_animation_shows_each_time_once(dim, tmp_path, monkeypatch):
     monkeypatch.setattr(plot, "MOST_FRAMES", 5)
     path = stick_slip(dim).animate(tmp_path / "run.gif")

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import GRIDS, SETS, case, embedded, slope
+from cases import GRIDS, SETS, case, embedded, slope, slow
 
 import sweepopt as so
 
@@ -26,7 +26,7 @@ def run(this, steps, scheme, solver="auto", tol=1e-6):
 
 
 SOME = GRIDS[:3]
-SLOW = [pytest.param(*each, (*GRIDS, 2003), marks=pytest.mark.slow) for each in RUNS]
+SLOW = [slow(*each, (*GRIDS, 2003)) for each in RUNS]
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_p
 
 
 @pytest.mark.parametrize("name", SETS)
-@pytest.mark.parametrize("tol", [1e-6, 1e-10])
+@pytest.mark.parametrize("tol", [slow(1e-6), 1e-10])
 def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(name, tol):
     this = case(name)
     solvers = ["clarabel", "auto"] + ["osqp"] * this.polyhedral + ["cvxpy"] * (name == "P09")

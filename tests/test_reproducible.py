@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import slow
 from processes import SECONDS, python
 from test_checkpoint import RUNS, free, same
 
@@ -78,7 +79,7 @@ def hasty():
 
 
 @pytest.mark.usefixtures("hasty")
-@pytest.mark.parametrize("name", ROUTES)
+@pytest.mark.parametrize("name", [*[*ROUTES][1::2], *map(slow, [*ROUTES][::2])])
 def test_threads_at_once_and_again_are_the_same(name):
     shared = ROUTES[name][0]()
     ready = threading.Barrier(3, timeout=SECONDS)
@@ -105,7 +106,7 @@ def test_threads_on_different_routes_do_not_meet():
 def test_processes_give_what_this_one_gives():
     # spawned: nothing is inherited from this process
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        names = [*ROUTES][::2]
+        names = [*ROUTES][::2]  # the others are in threads above
         for name, there in zip(names, pool.map(result, names, timeout=SECONDS), strict=True):
             assert there == result(name), name
 
@@ -161,7 +162,7 @@ linux = pytest.mark.skipif(
 )
 
 
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in SMALL if name != "osqp"]
+SLOW = [slow(name) for name in SMALL if name != "osqp"]
 
 
 @linux

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from cases import slow
 
 import sweepopt as so
 from sweepopt.study.hard.bodies import chain
@@ -74,7 +75,7 @@ ROUTES = {
 @pytest.mark.parametrize("share", [0.5, 1.0])
 @pytest.mark.parametrize(
     "steps, away",
-    [(100, 0.0), (100, 1e6), pytest.param(100_000, 1.0, marks=pytest.mark.slow)],
+    [(100, 0.0), (100, 1e6), slow(100_000, 1.0)],
 )
 @pytest.mark.parametrize("name", [name for name in ROUTES if name != "exact"])  # it rounds u
 def test_a_body_that_is_held_does_not_move_at_all(name, away, steps, share):

@@ -1,8 +1,10 @@
 """A step that contains breakpoints of the load, or misses its tolerance, is taken in parts."""
 
+from itertools import cycle
+
 import numpy as np
 import pytest
-from cases import block
+from cases import block, slow
 from test_checkpoint import Killed, same, stiff, stopping
 
 import sweepopt as so
@@ -133,8 +135,10 @@ MEETING = {
 }
 
 
-@pytest.mark.parametrize("stiffness", [1.0, 1e5])
-@pytest.mark.parametrize("name", MEETING)
+@pytest.mark.parametrize(
+    "stiffness, name",
+    [*zip(cycle([1.0, 1e5]), MEETING), *(slow(*each) for each in zip(cycle([1e5, 1.0]), MEETING))],
+)
 def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(name, stiffness):
     C, B, path = MEETING[name]
     process = so.SweepingProcess(A3 / stiffness, B, C, np.zeros(3))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import skfem
-from cases import block, case, slope
+from cases import block, case, slope, slow
 
 import sweepopt as so
 from sweepopt.cli import main
@@ -60,9 +60,7 @@ UNLUCKY = (
 )
 
 
-@pytest.mark.parametrize(
-    "case", [*UNLUCKY[:4], *(pytest.param(one, marks=pytest.mark.slow) for one in UNLUCKY[4:])]
-)
+@pytest.mark.parametrize("case", [*UNLUCKY[:4], *(slow(one) for one in UNLUCKY[4:])])
 def test_breakpoints_anywhere_in_steps_favour_none_of_the_three(
     case,
 ):

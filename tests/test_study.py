@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from cases import case
+from cases import case, slow
 from distributed import LocalCluster
 from processes import started
 from test_cli import make_scene
@@ -298,7 +298,7 @@ def test_a_cluster_that_is_not_there_or_shares_time_is_refused():
                 pass
 
 
-@pytest.mark.parametrize("where", ["processes", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("where", ["processes", slow("dask")])
 def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdowns_end_the_study(
     where,
     small,

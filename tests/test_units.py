@@ -7,6 +7,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from cases import slow
 from laws import ZOO
 
 import sweepopt as so
@@ -122,7 +123,11 @@ CONTACT = np.eye(5)[:, [1, 2, 4]]
 
 @pytest.mark.parametrize(
     "name, path",
-    [*((name, "full") for name in STATED), ("squares", "eliminated"), ("power cone", "eliminated")],
+    [
+        *((name, "full") for name in ("squares", "semidefinite", "power cone")),
+        *((name, "eliminated") for name in ("squares", "power cone")),
+        *(slow(name, "full") for name in ("sum of sizes", "generated", "exponential", "parabola")),
+    ],
 )
 def test_constraints_may_be_stated_in_any_units(name, path):
     how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto", "steps": 2}
