@@ -226,11 +226,13 @@ class Parallel(NamedTuple):
 
     def opposite_but_for_rounding(self, R: Any) -> np.ndarray:
         """Which pairs of rows R are a wedge: opposite, but no row is a multiple of the other."""
-        x, y = dense(R[self.i]), dense(R[self.j])
+        wedge = (self.sign < 0) & (row_lengths(R[self.i] + R[self.j]) > 0)
+        x, y = dense(R[self.i[wedge]]), dense(R[self.j[wedge]])
         largest = np.abs(x).argmax(axis=1)[:, None]
         of_x, of_y = (np.take_along_axis(z, largest, axis=1) for z in (x, y))
         other = (of_y * x != of_x * y) | (product_error(of_y, x) != product_error(of_x, y))
-        return (self.sign < 0) & other.any(axis=1)
+        wedge[wedge] = other.any(axis=1)
+        return wedge
 
 
 def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
