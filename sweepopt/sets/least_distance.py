@@ -226,15 +226,13 @@ class Parallel(NamedTuple):
 
     def opposite_but_for_rounding(self, R: Any) -> np.ndarray:
         """Which pairs of rows R are a wedge: opposite, but no row is a multiple of the other."""
-        wedges = self.sign < 0
-        # most are n and -n, to the last bit: the others are few, and dense
-        wedges[wedges] = abs(R[self.i[wedges]] + R[self.j[wedges]]).sum(axis=1) > 0
-        x, y = dense(R[self.i[wedges]]), dense(R[self.j[wedges]])
+        wedge = (self.sign < 0) & (row_lengths(R[self.i] + R[self.j]) > 0)
+        x, y = dense(R[self.i[wedge]]), dense(R[self.j[wedge]])
         largest = np.abs(x).argmax(axis=1)[:, None]
         of_x, of_y = (np.take_along_axis(z, largest, axis=1) for z in (x, y))
         other = (of_y * x != of_x * y) | (product_error(of_y, x) != product_error(of_x, y))
-        wedges[wedges] = other.any(axis=1)
-        return wedges
+        wedge[wedge] = other.any(axis=1)
+        return wedge
 
 
 def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
