@@ -149,7 +149,7 @@ class SweepingProcess(Displayed):
             )
         if self.B is not None and not is_semidefinite(self.B):
             raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
-        self.time_scale, self._checked = 0.0, (np.zeros(0), list[Any]())
+        self.time_scale, self._checked = 0.0, (0, list[Any]())
         try:
             self.metric = Factor(self.A, "A")
         except IndefiniteError:
@@ -299,7 +299,7 @@ class SweepingProcess(Displayed):
         VariationWarning
             If C(t) jumps by an infinite distance, as far as that can be seen.
         """
-        if np.array_equal(self._checked[0], times):
+        if (key := hash(times.tobytes())) == self._checked[0]:
             return self._checked[1]
         members = self.C.members(times)
         for _, C in members:
@@ -314,7 +314,7 @@ class SweepingProcess(Displayed):
                     "variation, as the theory asks; the steps are solved all the same",
                     VariationWarning,
                 )
-        self._checked = times, members
+        self._checked = key, members
         return members
 
     def check_start(self, t: float, nearest: Nearest | None = None) -> bool:
