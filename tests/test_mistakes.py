@@ -98,6 +98,7 @@ MISTAKES = [
     ("scheme", lambda: run(scheme="euler"), "scheme 'euler' is not known", "use .* implicit-euler"),
     ("a scheme's letter", lambda: run(scheme="midpont"), "scheme 'midpont'", r"did you mean midpoint\?"),
     ("solver misspelt", lambda: run(solver="newtn"), "solver 'newtn' is not known", "did you mean newton"),
+    ("solver of cvxpy", lambda: run(solver="mosek"), "solver .mosek. is not known", "did you mean cvxpy:mosek"),
     ("scheme in words", lambda: run(scheme="implicit euler"), "is not known", "did you mean implicit-eu"),
     ("progress", lambda: run(progress="yes"), "progress must be True or False", "got 'yes'"),
     ("A is True", lambda: pulled(A=True), "A must be a matrix of numbers, got True", "give numbers"),
