@@ -14,20 +14,19 @@ hundredfold in each round.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from sweepopt.linalg import EPS, Factor
+from sweepopt.linalg import Factor
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
-from sweepopt.velocity.energies import Local, Step, Tangent, newton
+from sweepopt.velocity.energies import Energy, Local, State
 
 STIFFNESS = 1e6  # sigma of the first round, in units of M as E sees it: a plug creeps 1e-6 of g/M
 STIFFER = 100.0  # in each round: the certificate falls tenfold, with 10 it stalls at 2e-6
-MOST = 60  # Newton steps of a round; 2 to 37 were needed
 
 
 class Rows(NamedTuple):
@@ -76,22 +75,6 @@ def blocks(S: ConvexSet) -> Rows | None:
     return Rows(E[np.arange(m * b).reshape(m, b).T.ravel()], local, tied)
 
 
-class State(NamedTuple):
-    """w with its gradient R, energy, rounding, v = s0 + sigma E (base + w), |v| and s = P_S(v).
-
-    `multipliers` are what the last Newton step expects of s.
-    """
-
-    w: np.ndarray
-    R: np.ndarray
-    energy: float
-    rounding: float
-    v: np.ndarray
-    lengths: np.ndarray
-    s: np.ndarray
-    multipliers: np.ndarray
-
-
 class Cones:
     """(residual, z) -> the pair of the next round; to be used by `refined`.
 
@@ -110,12 +93,12 @@ class Cones:
         assert rows is not None
         self._M, self._tol, self._rows, self.S = M, tol, rows, S
         self._abs, self._transposed = abs(rows.E), sp.csr_array(rows.E.T)
-        self._matrix, (m, b, _) = sp.csr_array(M.M), rows.local.entries.shape
+        m, b, _ = rows.local.entries.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
         compliance = compliance.reshape(b, m).mean(axis=0)
         # a block of zeros, all of whose nodes are on the wall, has any
         self._weights = 1 / np.where(compliance > 0, compliance, compliance.max())
-        self._tangent = Tangent(M.M, [rows.local])
+        self._energy = Energy(M.M, rows.E, [rows.local])
         self._z, self._s = np.zeros(M.dim), np.zeros((b, m))
         self._sigma, self._size = self._weights, 0.0
 
@@ -129,18 +112,42 @@ class Cones:
             self._sigma, self._size = STIFFNESS * self._weights, self._M.dual_norm(residual)
         else:
             self._sigma = STIFFER * self._sigma
-        state, iterations = self._newton(g, residual, base, start)
-        rate = lengths(self._rates(base) + self._of(state.w))
-        rigid = (state.lengths <= g) | (self._sigma * rate <= g)
-        self._z, self._s = base + state.w, state.s
+        sigma, s0 = self._sigma, in_balls(self._s, g)
+        rates_base = self._rates(base)
+        before = 0 * s0, s0, np.zeros((1, 1, 1))
+
+        def law(x: np.ndarray) -> tuple[np.ndarray, Any]:
+            rates = x.reshape(len(s0), -1)
+            v = s0 + sigma * (rates_base + rates)
+            s = in_balls(v, g)
+
+            def derivative() -> list[np.ndarray]:
+                """With the multipliers that the step before expects."""
+                nonlocal before
+                rates_before, s_before, D = before
+                steps = (D * (rates - rates_before)).sum(axis=1)
+                D = self._derivative(g, v, in_balls(s_before + steps, g))
+                before = rates, s, D
+                return [D]
+
+            return s.ravel(), derivative
+
+        def converged(state: State) -> bool:
+            size = max(self._size, self._M.norm(base + state.w))
+            return self._M.is_within(state.R, 0.1 * self._tol * size)
+
+        state, iterations = self._energy.minimised(residual, start, law, converged)
+        self._z, self._s = base + state.w, state.s.reshape(len(s0), -1)
+        creep = sigma * (rates_base + state.x.reshape(len(s0), -1))
+        rigid = (lengths(s0 + creep) <= g) | (lengths(creep) <= g)
         z = self._plugs(rigid, self._z)
         at = z[self._rows.local.unknowns]
         still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
         rates = np.where(still, 0.0, self._of(z))
-        w = self._transposed @ state.s.ravel()
+        w = self._transposed @ state.s
         support = float(g @ lengths(rates))
-        gap = max(support - float(np.vdot(state.s, rates)), 0.0) + ROUNDING * support
-        rounding = ROUNDING * (self._abs.T @ np.abs(state.s).ravel())
+        gap = max(support - float(np.vdot(self._s, rates)), 0.0) + ROUNDING * support
+        rounding = ROUNDING * (self._abs.T @ np.abs(state.s))
         return Proposal(z, -w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
     def _of(self, w: np.ndarray) -> np.ndarray:
@@ -154,46 +161,14 @@ class Cones:
         hidden = 2 * ROUNDING * (self._abs @ np.abs(z)).reshape(rates.shape)
         return np.where(np.abs(rates) <= hidden, 0.0, rates)
 
-    def _newton(
-        self, g: np.ndarray, residual: np.ndarray, base: np.ndarray, start: np.ndarray
-    ) -> tuple[State, int]:
-        """The w with residual + M w + E^T P_S(s0 + sigma E (base + w)) = 0, and how many steps."""
-        sigma, s0 = self._sigma, in_balls(self._s, g)
-        of_base = s0 + sigma * self._rates(base)
-
-        def state_of(w: np.ndarray, multipliers: np.ndarray) -> State:
-            v = of_base + sigma * self._of(w)
-            s, of_w = in_balls(v, g), self._matrix @ w
-            terms = (
-                0.5 * float(w @ of_w),
-                float(residual @ w),
-                0.5 * float(np.sum(s * (2 * v - s) / sigma)),
-            )
-            R, rounding = residual + of_w + self._transposed @ s.ravel(), EPS * w.size
-            rounding *= sum(map(abs, terms))
-            return State(w, R, sum(terms), rounding, v, lengths(v), s, multipliers)
-
-        def converged(state: State) -> bool:
-            size = max(self._size, self._M.norm(base + state.w))
-            return self._M.is_within(state.R, 0.1 * self._tol * size)
-
-        def step(state: State) -> Step[State]:
-            D = self._derivative(g, state)
-            change = -self._tangent.solve([D], state.R)
-            steps = (D * self._of(change)).sum(axis=1)
-            return change, lambda share: state_of(
-                state.w + share * change, in_balls(state.s + share * steps, g)
-            )
-
-        return newton(state_of(start, s0), step, converged, MOST)
-
-    def _derivative(self, g: np.ndarray, state: State) -> np.ndarray:
+    def _derivative(self, g: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
-        flows, s = state.lengths > g, state.multipliers
-        size = np.where(flows, state.lengths, 1.0)
+        size = lengths(v)
+        flows = size > g
+        size = np.where(flows, size, 1.0)
         of_one = np.where(flows, g / size, 1.0) * self._sigma
         of_two = np.where(flows, 0.5 / size**2, 0.0) * self._sigma
-        turned = s[:, None] * (of_two * state.v)
+        turned = s[:, None] * (of_two * v)
         D: np.ndarray = of_one * np.eye(len(s))[:, :, None] - turned - turned.transpose(1, 0, 2)
         return D
 

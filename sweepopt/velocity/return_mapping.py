@@ -10,10 +10,10 @@ mapping, exactly 0 at a point that does not yield. What is left for v is the con
     1/2 <K v, v> + <f, v> - 1/2 |r - P_S(r)|^2_{W^-1},
 
 whose gradient is R = K v - G^T p + f. Newton's method has the consistent tangent
-K - G^T W^-1 (I - DP_S(r)) G, at least the Schur complement S_u = K - G^T W^-1 G > 0, and halves
-steps until the energy falls (Simo and Hughes, Computational Inelasticity, 1998, chapter 3). The
-pair (P_S(r), p) is exactly normal, so that the certificate of (v, p) is |R| in S_u^-1, which is
-that of (R, 0) in M^-1. All matrices are sparse.
+K - G^T W^-1 (I - DP_S(r)) G, at least the Schur complement S_u = K - G^T W^-1 G > 0 (Simo and
+Hughes, Computational Inelasticity, 1998, chapter 3). The pair (P_S(r), p) is exactly normal, so
+that the certificate of (v, p) is |R| in S_u^-1, which is that of (R, 0) in M^-1. All matrices are
+sparse.
 
 Isotropic hardening has an unknown alpha a point with alpha' >= |p'|, and equality in every
 solution: a share of its stiffness may go to p, x (|p'|^2 - alpha'^2) / 2 being 0 there. M then is a
@@ -24,18 +24,16 @@ without kinematic hardening too (`ConvexSet.exchange`).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import EPS, Factor
+from sweepopt.linalg import Factor
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
-from sweepopt.velocity.energies import Local, Step, Tangent, newton
-
-MOST = 50  # Newton steps; a load step of a fully plastic body takes 5 to 10
+from sweepopt.velocity.energies import Energy, Local, State
 
 
 def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
@@ -49,21 +47,6 @@ def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
         and block.count_nonzero() == np.count_nonzero(diagonal)
         and bool((np.abs(S.weights(metric) - metric) <= ROUNDING * metric).all())
     )
-
-
-class State(NamedTuple):
-    """v beside a base, and z = (v, p) with p the return mapping: r, the gradient R, the energy.
-
-    `square` is |z|_M squared where the base is 0.
-    """
-
-    v: np.ndarray
-    z: np.ndarray
-    r: np.ndarray
-    R: np.ndarray
-    energy: float
-    rounding: float
-    square: float
 
 
 class ReturnMapping:
@@ -85,11 +68,10 @@ class ReturnMapping:
         self._M, self._few, self._tol = M, unknowns, tol
         self._rest = np.setdiff1d(np.arange(M.dim), unknowns)
         rows = sp.csr_array(M.M)[self._rest]
-        self._K, self._up = (sp.csr_array(rows[:, to]) for to in (self._rest, unknowns))
-        self._G = sp.csr_array(-self._up.T)
-        self._weights = S.weights(M.diagonal[unknowns])
-        groups = [Local.of(self._G[at.ravel()], at.shape[1]) for at, _ in S.blocks(S.anchor) or ()]
-        self._tangent = Tangent(self._K, groups)
+        K, up = (sp.csr_array(rows[:, to]) for to in (self._rest, unknowns))
+        self._weights, G = S.weights(M.diagonal[unknowns]), sp.csr_array(up.T)
+        groups = [Local.of(G[at.ravel()], at.shape[1]) for at, _ in S.blocks(S.anchor) or ()]
+        self._energy = Energy(K, G, groups)
         self._v, self._size = np.zeros(self._rest.size), 0.0
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
@@ -97,47 +79,32 @@ class ReturnMapping:
 
         Newton's method moves v - v(z): what is summed of M z + q is in the residual, rounded once.
         """
-        base, start = z, np.zeros_like(self._v)
-        if base is None:
-            base, start, self._size = np.zeros_like(residual), self._v, 0.0
-        state, iterations = self._newton(S, residual, base, start)
-        self._v, w = state.z[self._rest], np.zeros(residual.size)
-        self._size = max(self._size, math.sqrt(max(state.square, 0.0)))
-        w[self._few] = S.project(state.r)
-        return Proposal(state.z, w, iterations=iterations)
+        W, few, rest = self._weights, self._few, self._rest
+        base, start = (0 * residual, self._v) if z is None else (z, 0 * self._v)
+        share = 0.5 if z is None else 0.05  # a base missed the tolerance by rounding: further
+        f, p_base = residual[rest], base[few]
+        r_base = residual[few] - W * p_base
 
-    def _newton(
-        self, S: ConvexSet, residual: np.ndarray, base: np.ndarray, start: np.ndarray
-    ) -> tuple[State, int]:
-        """The state in which R is small, from start = v - v(base), and the number of steps."""
-        p_base, force = base[self._few], residual[self._rest]
-        r_base, of_base = residual[self._few] - self._weights * p_base, self._up @ p_base
+        def mapped(r: np.ndarray) -> np.ndarray:
+            return (0.0 - S.normal(r)) / W
 
-        def state_of(v: np.ndarray) -> State:
-            """The return mapping for v(base) + v."""
-            r, stiff, z = r_base - self._G @ v, self._K @ v, base.copy()
-            outside = S.normal(r)
-            p = 0.0 - outside / self._weights
-            z[self._rest] += v
-            z[self._few] = p
-            terms = 0.5 * v.dot(stiff), (force - of_base).dot(v), 0.5 * p.dot(outside)
-            # the rounding of sums of n terms
-            rounding, of_p = EPS * z.size * sum(map(abs, terms)), self._up @ (p - p_base)
-            square = v.dot(stiff) + 2 * v.dot(of_p) - p.dot(outside)
-            return State(v, z, r, force + stiff + of_p, sum(terms), rounding, square)
+        def law(x: np.ndarray) -> tuple[np.ndarray, Any]:
+            return mapped(r_base + x) - p_base, lambda: self._softening(S, r_base + x)
 
         def converged(state: State) -> bool:
-            rho = np.zeros(residual.size)
-            rho[self._rest] = state.R
-            size = max(self._size, math.sqrt(max(state.square, 0.0)))
-            # from a base that missed the tolerance, whatever was lost to rounding: further
-            return self._M.is_within(rho, (0.05 if base.any() else 0.5) * self._tol * size)
+            if z is None:  # |z|_M
+                square = state.w.dot(state.R - f) + state.s.dot(state.x + W * state.s)
+                self._size = math.sqrt(max(square, 0.0))
+            rho = 0 * residual
+            rho[rest] = state.R
+            return self._M.is_within(rho, share * self._tol * self._size)
 
-        def step(state: State) -> Step[State]:
-            change = -self._tangent.solve(self._softening(S, state.r), state.R)
-            return change, lambda share: state_of(state.v + share * change)
-
-        return newton(state_of(start), step, converged, MOST)
+        state, iterations = self._energy.minimised(f, start, law, converged)
+        r, z, w = r_base + state.x, base.copy(), 0 * residual
+        z[rest] += state.w
+        z[few], w[few] = mapped(r), S.project(r)
+        self._v = z[rest]
+        return Proposal(z, w, iterations=iterations)
 
     def _softening(self, S: ConvexSet, r: np.ndarray) -> list[np.ndarray]:
         """-W^-1 (I - DP_S(r)) at each point: by how much K is softer where it yields."""

@@ -58,9 +58,14 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     if isinstance(solver, str):
         name, _, engine = solver.partition(":")
         if solver not in REGISTRY and not (name == "cvxpy" and engine):
+            import cvxpy as cp
+
+            near = suggestion(solver, REGISTRY)
+            if solver.upper() in cp.settings.SOLVERS:
+                near = f"; did you mean cvxpy:{solver.lower()}?"
             raise SolverRefusedError(
                 f"solver {shown(solver)} is not known; use auto, {_names()} or cvxpy:NAME for one "
-                f"that cvxpy knows, such as cvxpy:scs{suggestion(solver, REGISTRY)}"
+                f"that cvxpy knows{near}"
             )
         solver = Cvxpy(engine.upper()) if engine else _made(REGISTRY[name], C, tol)
     if isinstance(solver, type):
