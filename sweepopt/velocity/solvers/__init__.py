@@ -61,7 +61,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
             import cvxpy as cp
 
             near = suggestion(solver, REGISTRY)
-            if solver.upper() in cp.settings.SOLVERS:
+            if not near and solver.upper() in cp.settings.SOLVERS:
                 near = f"; did you mean cvxpy:{solver.lower()}?"
             raise SolverRefusedError(
                 f"solver {shown(solver)} is not known; use auto, {_names()} or cvxpy:NAME for one "
