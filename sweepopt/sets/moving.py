@@ -123,15 +123,12 @@ class MovingSet(Operators):
 
     def _member(self, t: float) -> ConvexSet:
         try:
-            C = self._at(t)
+            C = _value("C", self._at, t)
         except InputError as error:
             where = f"C(t) at t = {t:g}"
             if str(error).startswith(where):
                 raise
             raise type(error)(f"{where}: {error}") from error
-        except Exception as error:  # whatever a user's function raises
-            noted(error, f"C(t), at t = {t:g}")
-            raise
         if not isinstance(C, ConvexSet):
             raise InputError(
                 f"C(t) at t = {t:g} must be a set, got {type(C).__name__}; a function that says "
@@ -206,11 +203,7 @@ class Moving(MovingSet):
         t = instant("t", t)
         if self.center is None:
             return np.zeros(self.dim)
-        try:
-            value = self.center(t)
-        except Exception as error:
-            noted(error, f"{self.center_name}(t), at t = {t:g}")
-            raise
+        value = _value(self.center_name, self.center, t)
         return vector(f"{self.center_name}(t) at t = {t:g}", value, self.dim)
 
     def scale_at(self, t: float) -> float:
@@ -219,12 +212,7 @@ class Moving(MovingSet):
         if self.scale is None:
             return 1.0
         name = f"scale(t) at t = {t:g}"
-        try:
-            value = self.scale(t)
-        except Exception as error:
-            noted(error, f"scale(t), at t = {t:g}")
-            raise
-        return number(name, instant(name, value), minimum=0.0)
+        return number(name, instant(name, _value("scale", self.scale, t)), minimum=0.0)
 
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:
@@ -254,6 +242,15 @@ class Moving(MovingSet):
 
 def _translate(C: ConvexSet, v: np.ndarray) -> ConvexSet:
     return Point(C.anchor + v) if isinstance(C, Point) else Similar(C, v)
+
+
+def _value(name: str, function: Callable[[float], Any], t: float) -> Any:
+    """What a user's function returns at t."""
+    try:
+        return function(t)
+    except Exception as error:
+        noted(error, f"{name}(t), at t = {t:g}")
+        raise
 
 
 class MovingOffsets(MovingSet):
