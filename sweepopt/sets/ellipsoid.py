@@ -15,6 +15,7 @@ from sweepopt.sets.base import RANK, ConvexSet, Features, NormalPair, binary, sa
 if TYPE_CHECKING:
     import cvxpy as cp
 
+TINY = np.finfo(float).tiny  # 0 / TINY = 0
 STEPS = 100  # of Newton's method, a bound that is not met: each change of regime takes a few
 
 
@@ -72,12 +73,12 @@ class Ellipsoid(ConvexSet):
         lam = self._kept(d, self._multiplier)
         if not lam and e.all():
             return w
-        return self.center + self._axes @ (_ratio(e, e + lam) * d)
+        return self.center + self._axes @ (e / np.maximum(e + lam, TINY) * d)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         d, e = self._axes.T @ (v - self.center), self._squares
         lam = self._kept(d, self._multiplier)
-        inner = np.diag(_ratio(e, e + lam))
+        inner = np.diag(e / np.maximum(e + lam, TINY))
         if lam:
             fall = e * d / (e + lam) ** 2  # -dx/dlam
             inner -= np.outer(fall, fall) / (fall @ (d / (e + lam)))
@@ -144,8 +145,3 @@ class BallImage(Ellipsoid):
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         return ConvexSet.normal_pair(self, p, w, tau)
-
-
-def _ratio(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a / b, 0 where a is."""
-    return np.divide(a, b, out=np.zeros_like(a), where=a > 0)

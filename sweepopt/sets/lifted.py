@@ -207,9 +207,7 @@ class Lifted(ConvexSet):
         """The projection of v and its normal, as exact as they are found."""
         if self._blocks is not None:
             return NormalPair(self._blocks.normal(v), self._blocks.project(v), 0.0)
-        pair = self._pair(v)
-        if pair is None:
-            pair = self._pair_nearby(v)
+        pair = self._pair(v) or self._pair_nearby(v)
         if pair is None:
             p = normal_by_program(self, v)
             pair = NormalPair(p, v - p, 0.0)

@@ -380,10 +380,10 @@ class Polyhedron(ConvexSet):
         return Halfspaces.below(self.G, self.h)
 
     def require_nonempty(self, where: str = "C") -> None:
-        d = self.offsets / self._lengths
-        same = self._wedges.among(self._wedges.equal(d, ROUNDING * np.abs(d)))
-        if same.i.size:
-            i, j = same.i[0], same.j[0]
+        d, others = self.offsets / self._lengths, self._flat(np.zeros(self.dim)).others
+        equal = self._wedges.equal(d, ROUNDING * np.abs(d)) & others[self._wedges.i]
+        if equal.any():  # and no equation tells what is meant
+            i, j = (x[equal.argmax()] for x in self._wedges[:2])
             raise InputError(
                 f"{where}: rows {i} and {j} of G w <= h are opposite but for rounding: a wedge, "
                 f"whose apex may be anywhere, or an equation; for that make row {j} minus row {i}, "

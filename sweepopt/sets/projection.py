@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from functools import lru_cache
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -86,10 +87,8 @@ class Projector:
         if start is None:
             s = plain.projected(plain.E.T @ v)
             start = Start(s, plain.E.T @ (v - plain.E @ s)).scaled(1 / plain.units)
-        near = self._from(v, start)
-        starts = iter(()) if near.exact else plain.proximal_points(v, start)
-        for better in starts:
-            near = self._from(v, better)
+        for point in chain([start], plain.proximal_points(v, start)):
+            near = self._from(v, point)
             if near.exact:
                 break
         return near
@@ -115,16 +114,15 @@ class InMetric:
     """
 
     def __init__(self, C: ConvexSet, M: np.ndarray) -> None:
-        form, self._L = C.form(), np.linalg.cholesky(M)
-        E = scipy.linalg.solve_triangular(self._L, dense(form.E), lower=True)
-        self._projector = Projector(form._replace(E=E))
+        form, self._inverse = C.form(), np.linalg.inv(np.linalg.cholesky(M))
+        self._projector = Projector(form._replace(E=self._inverse @ dense(form.E)))
 
     def __call__(self, q: np.ndarray, start: Start | None) -> tuple[np.ndarray, Start]:
         """About z, the points of the parts, and the normals that add up to -z."""
-        v = scipy.linalg.solve_triangular(self._L, q, lower=True)
+        v = self._inverse @ q
         near = self._projector(v, start)
-        z = scipy.linalg.solve_triangular(self._L, near.w - v, trans=1, lower=True)
-        return z, Start(near.s, near.image - near.s).scaled(1 / near.splitting.units)
+        points = Start(near.s, near.image - near.s).scaled(1 / near.splitting.units)
+        return self._inverse.T @ (near.w - v), points
 
 
 class Splitting:
