@@ -1,4 +1,4 @@
-"""The one program every scheme asks for, stated once.
+"""The one program every scheme asks for, stated once, and what a solver of it is.
 
     z = argmin  1/2 <M z, z> + <q, z> + sigma(C, -z)
 
@@ -9,13 +9,15 @@ is strongly convex: it has exactly one solution, whatever a solver says. It is e
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import count
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet, Similar
 
@@ -99,3 +101,65 @@ class VelocityProgram:
         # M is known to be positive definite: it was factorised
         quadratic = 0.5 * cp.quad_form(x, cp.psd_wrap(scaled))
         return Statement(cp.hstack([z, *y]), quadratic, constraints)
+
+
+# ---- the contract of a solver: compile once per program, then only vectors -----------------------
+
+
+class Answer(NamedTuple):
+    """What a solver says; nothing of it is believed before the program has certified it.
+
+    The multipliers y are not used; a solver of yours may give them.
+    """
+
+    z: np.ndarray
+    y: np.ndarray = np.zeros(0)
+    iterations: int = 0
+    status: str = ""
+
+
+Solve = Callable[..., Answer]
+
+
+class Solver(Protocol):
+    """A way to solve velocity programs.
+
+    Attributes
+    ----------
+    name : str
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    def treats(self, C: ConvexSet) -> bool:
+        """Whether programs with this set can be solved."""
+        ...
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """A function (q, C) -> Answer for C with this cone; not to be shared by threads.
+
+        A solver that can start from a velocity, like Newton, takes one as a third argument.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Small:
+    """What solvers of small programs have in common: they go to rounding, or fail.
+
+    Parameters
+    ----------
+    max_dim : int
+        Larger programs are left to the other solvers.
+
+    Raises
+    ------
+    InputError
+        If max_dim is not positive.
+    """
+
+    max_dim: int = 300
+
+    def __post_init__(self) -> None:
+        count("max_dim", self.max_dim)

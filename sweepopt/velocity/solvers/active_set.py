@@ -25,8 +25,7 @@ from sweepopt.sets import (
     least_distance,
     shape_of,
 )
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.contract import Answer, Small, Solve
+from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 REFINEMENTS = 3  # of what L rounds: without them polyhedra beside jumps of 1e8 are not met
 

@@ -19,8 +19,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import count, number
 from sweepopt.sets import ConvexSet, in_turn
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.contract import Answer, Solve
+from sweepopt.velocity.program import Answer, Solve, VelocityProgram
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ import numpy as np
 
 from sweepopt.errors import brought_by
 from sweepopt.sets import ConvexSet, binary
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.contract import Answer, Small, Solve
+from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 BEYOND, INFINITE = 1e60, 1e30  # beyond any bound of a set; what DAQP takes for no bound
 

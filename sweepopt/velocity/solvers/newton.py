@@ -24,8 +24,7 @@ import scipy.sparse as sp
 from sweepopt.checks import Matrix, count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.contract import Answer, Small, Solve
+from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 # of the residual, left by a step with the tangent of another point: such steps cost a fifth of one

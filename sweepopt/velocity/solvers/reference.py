@@ -10,8 +10,7 @@ import numpy as np
 
 from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.sets import ConvexSet, in_turn
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.contract import Answer, Solve
+from sweepopt.velocity.program import Answer, Solve, VelocityProgram
 
 if TYPE_CHECKING:
     import cvxpy as cp
