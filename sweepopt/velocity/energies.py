@@ -104,7 +104,8 @@ class Energy:
         """Newton steps from w until one converges or none is left, and how many were taken.
 
         As the energy is convex its derivative along a step grows: of the shares 1, 1/2, 1/4, ...
-        that one is taken where it is not STEEPER uphill than it was downhill.
+        that one is taken where it is not STEEPER uphill than it was downhill. No descent is proved:
+        what has not converged after MOST steps goes to the next solver.
         """
 
         def at(w: np.ndarray) -> State:
