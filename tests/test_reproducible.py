@@ -38,6 +38,18 @@ def three(C):
     return so.SweepingProcess(A[:3, :3], B[:3, :3], so.Moving(C, load), np.zeros(3))
 
 
+def few(m=5):
+    Q = np.random.default_rng(0).normal(size=(m, m))
+    centre = so.Separable([
+        (so.Sine(3.0, 3.0), np.cos(np.arange(m))),
+        (so.Triangle(3.0, 2.0), np.sin(2.0 * np.arange(m))),
+    ])  # fmt: skip
+    C = so.Moving(so.Ball(np.zeros(m), 1.2) & so.Box(-np.ones(m), np.ones(m)), centre)
+    return so.SweepingProcess(
+        Q @ Q.T + 0.3 * np.eye(m), np.diag(1.0 + np.arange(m)), C, np.zeros(m)
+    )
+
+
 SLOW_ROUTES = ("steps in parts", "many step sizes")
 ROUTES = {
     **{name: route for name, route in RUNS.items() if name not in SLOW_ROUTES},
@@ -51,6 +63,8 @@ ROUTES = {
     "exact": (lambda: three(so.Box(-GAP[:3], GAP[:3])), {"scheme": "exact"}),
     # an intersection, whose support function is a program of its own
     "two sets": (lambda: three(so.Box([-1] * 3, [1] * 3) & so.Ball([0] * 3, 1.2)), {"steps": 12}),
+    # Newton starts its projections from one in another metric
+    "two sets by newton": (few, {"solver": "newton", "steps": 60}),
 }
 
 

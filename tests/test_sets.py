@@ -63,6 +63,12 @@ def test_normal_pairs_that_one_set_in_thousands_asks_for_are_proved(name, seed):
     normal_pair_is_proven_near_any_guess(ZOO[name], sample, random)
 
 
+def test_a_projection_that_is_written_to_is_found_again():
+    hull, v = so.Polytope(EYE), np.array([1.0, 3.0])
+    hull.project(v)[:] = NAN
+    np.testing.assert_array_equal(hull.project(v), [0.0, 1.0])
+
+
 def test_another_matrix_is_another_cone():
     pairs = [
         (so.Polyhedron(EYE, [1, 1]), so.Polyhedron(2 * EYE, [1, 1])),

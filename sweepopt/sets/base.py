@@ -17,6 +17,7 @@ and through the projection on C. Two facts make one small contract enough:
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -359,8 +360,15 @@ class ConvexSet(Operators, ABC):
 
     # ---- what follows from it -----------------------------------------------------------------
 
+    def apart(self) -> ConvexSet:
+        """C for one run alone: `start_at` on it is not seen by others."""
+        return self if self.exact else copy.copy(self)
+
     def _kept(self, v: np.ndarray, function: Callable[[np.ndarray], Any]) -> Any:
-        """function(v), kept for the last v: projection, derivative and pair ask in turn."""
+        """function(v), kept for the last v: projection, derivative and pair ask in turn.
+
+        Threads may do so at once: each takes what is kept as one, key and value.
+        """
         key, last = v.tobytes(), self._last
         if last[0] != key:
             last = self._last = key, function(v)
@@ -492,7 +500,10 @@ class ConvexSet(Operators, ABC):
         return self.algebra.epigraph(self, p)
 
     def start_at(self, v: np.ndarray, s: np.ndarray, n: np.ndarray) -> None:
-        """Find the projection of v from points s of the parts and normals n; formulas need none."""
+        """Find the projection of v from points s of the parts and normals n; formulas need none.
+
+        Its last bits are those of this start: to be called on a set that is `apart`.
+        """
 
     def is_beyond(self, w: np.ndarray, distance: float) -> bool:
         """Whether it is known without a projection that w is further from C than that."""

@@ -257,7 +257,7 @@ class Lifted(ConvexSet):
         """A point of C, and what is left of v, where no projection is exact."""
         if self.lifted.F.shape[0] or not self.certifiable:
             return None
-        w = self.near(v).w
+        w = self.near(v).w.copy()
         return NormalPair(v - w, w, self.gap(v - w, w), _rounded(v))
 
     def require_nonempty(self, where: str = "C") -> None:

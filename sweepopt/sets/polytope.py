@@ -73,7 +73,7 @@ class Polytope(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
         face = self._kept(w, self._nearest_face)
-        return w if face is None else face.point
+        return w if face is None else face.point.copy()
 
     def _nearest_face(self, w: np.ndarray) -> _Face | None:
         """The vertices whose hull is the face nearest to w, and the nearest point; None inside.

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -48,6 +48,9 @@ class Attempt:
     body: Callable[[], Factor]
     from_best: bool = False
     compiled: Solve | None = None
+    apart: Callable[[ConvexSet], ConvexSet] = field(
+        default_factory=lambda: lru_cache(1)(ConvexSet.apart)
+    )
 
     def __call__(
         self, inclusion: Inclusion, of: Instance, best: np.ndarray, tol: float
@@ -65,7 +68,7 @@ class Attempt:
         """From residuals to the solver's normal pairs."""
         M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
-            S = selection.part
+            S = self.apart(selection.part)
         compiled = self.compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
         start = [best[M.unknowns]] if self.from_best and best.any() else []
 

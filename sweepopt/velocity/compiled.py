@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -94,6 +94,7 @@ class StateVelocity:
         self._mapping: ReturnMapping | None = None
         self._cones: Cones | None = None
         self._one: tuple[ConvexSet | None, Any] = None, None
+        self._apart = lru_cache(1)(ConvexSet.apart)
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
         if u.size == 1 and self._solver == "auto":
@@ -133,6 +134,7 @@ class StateVelocity:
                 mapped = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
                 if mapped is not None and mapped.relative <= self._tol:
                     return mapped
+        S = self._apart(S)
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
         if self._by_cones:
