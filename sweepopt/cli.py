@@ -209,7 +209,9 @@ def _announce(scene: Scene) -> None:
     options = SolveOptions(
         scene.t_end, scene.steps, scheme=scene.scheme, solver=scene.solver, tol=scene.tol
     )
-    plan = options.plan(process, options.tableau(process), *time_grid(scene.t_end, scene.steps))
+    with warnings.catch_warnings():  # the run says them
+        warnings.simplefilter("ignore", SweepoptWarning)
+        plan = options.plan(process, options.tableau(process), *time_grid(scene.t_end, scene.steps))
     if scene.title:
         print(scene.title)
     for change in scene.changes:

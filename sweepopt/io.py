@@ -146,8 +146,9 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
         if header.count(name) != 1:
             found = name in header
             fault = "is there twice" if found else "is missing"
-            # not all that there is: a scene of a stranger may name any file
-            hint = "" if found else suggestion(name, header)
+            # no other name that there is: a scene of a stranger may name any file
+            cases = [one for one in header if one.lower() == name.lower() and not found]
+            hint = f"; did you mean {cases[0]}?" if cases else ""
             if len(header) == 1 and (mark := re.search("[;\t]", header[0])):
                 hint = f"; it is separated by {mark[0]!r}, write commas between the cells"
             raise InputError(

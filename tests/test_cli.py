@@ -210,20 +210,18 @@ def test_on_a_full_disk_the_results_go_to_a_temporary_folder(monkeypatch, capsys
         assert dataset.sizes["step"] == 3
 
 
-def test_the_sets_of_a_run_are_looked_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    make_scene(tmp_path, SCENE.replace("g = 0.6", 'g = "0.6 + 0.01 * t"'))
-    members, looks = so.MovingSet.members, []
+@pytest.mark.usefixtures("scene")
+@pytest.mark.filterwarnings("always::sweepopt.VariationWarning")
+def test_a_warning_of_a_run_is_printed_once(monkeypatch, capsys):
+    check = so.SweepingProcess.check
 
-    def counted(self, times):
-        looks.append(len(times))
-        return members(self, times)
+    def jumping(self, times):
+        warnings.warn("C(t) jumps by an infinite distance", so.VariationWarning, stacklevel=1)
+        return check(self, times)
 
-    monkeypatch.setattr(so.MovingSet, "members", counted)
+    monkeypatch.setattr(so.SweepingProcess, "check", jumping)
     assert run("--scheme", "implicit-euler", "--steps", "7") == 0
-    assert len(looks) == 1
+    assert capsys.readouterr().err.count("infinite distance") == 1
 
 
 @pytest.mark.usefixtures("scene")

@@ -226,8 +226,10 @@ def test_beta_is_found_beside_entries_of_another_size():
 
 def test_a_jump_to_an_unbounded_set_is_not_of_bounded_variation():
     C = so.MovingSet(lambda t: so.Box(-1, 1 if t < 0.5 else np.inf))
-    with pytest.warns(so.VariationWarning, match=r"t = 0\.5"):
-        assert so.solve(so.SweepingProcess(1, None, C, 0), t_end=1.0, steps=10).success
+    process = so.SweepingProcess(1, None, C, 0)
+    for _ in "12":  # every run says so
+        with pytest.warns(so.VariationWarning, match=r"t = 0\.5"):
+            assert so.solve(process, t_end=1.0, steps=10).success
 
 
 class Square:

@@ -1,8 +1,11 @@
 """The scenes of the library against exact values and independent codes."""
 
+from dataclasses import replace
+
 import meshio
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from sweepopt.errors import InputError
 from sweepopt.fem import read_scene
@@ -100,6 +103,12 @@ def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path):
     assert meshio.read(files[-1]).cell_data["plastic_strain"][0] == pytest.approx(strain[-1])
     for picture in scene.pictures:
         assert scene.plot(sol, picture).axes
+    # rows of a user's effect may have cells too
+    (own,) = scene.yields
+    E = sp.eye_array(2, sol.u.shape[1], format="csr")
+    other = replace(own, rows=replace(own.rows, E=E, cells=np.zeros(2, int)))
+    both = replace(scene, yields=(other, own))
+    np.testing.assert_array_equal(both.plastic_strain(sol), strain)
 
 
 @pytest.mark.parametrize("hardening", [{}, isotropic(1e10)], ids=["kinematic", "isotropic"])

@@ -15,6 +15,7 @@ from sweepopt.fem import output, snapshots
 from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.effects import Foundation, YieldStress, released_matrices
 from sweepopt.fem.output import Report
+from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
 from sweepopt.fem.stress import stress_laws
 from sweepopt.io import replacing, writable
@@ -36,7 +37,7 @@ def refusal(scene: Scene, name: str) -> str:
     along = "friction along a boundary", one and contact is not None and contact.on_curve
     flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
     tells = bool(stress_laws(scene))
-    plastic = any(part.rows.cells is not None for part in scene.yields)
+    plastic = any(isinstance(effect, Plasticity) for effect in scene.effects)
     needs = {
         "displacement": ("a body in the plane or along a line", dimension < 3),
         "surface": ("a solid", dimension == 3),

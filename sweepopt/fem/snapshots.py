@@ -9,7 +9,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from subprocess import run
+from subprocess import TimeoutExpired, run
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -317,17 +317,23 @@ def _colours(report: Report, t: float) -> Array:
 def off_screen() -> Any:
     """PyVista, if it is installed and draws without a window here; else None.
 
-    It is tried in another process, which ends where there is no library to draw with.
+    It is tried in another process, which ends or hangs where there is no library to draw with.
     """
+    if not find_spec("pyvista"):
+        return None
+    window = {}
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+        window["VTK_DEFAULT_OPENGL_WINDOW"] = "vtkEGLRenderWindow"
+    environment = window | os.environ
     trial = "import pyvista; pyvista.Plotter(off_screen=True).screenshot(return_img=True)"
-    if (
-        find_spec("pyvista")
-        and not run([sys.executable, "-c", trial], capture_output=True).returncode
-    ):
-        return import_module("pyvista")
-    return None
+    try:
+        drawn = run([sys.executable, "-c", trial], capture_output=True, timeout=60, env=environment)
+    except TimeoutExpired:  # some drivers hang
+        return None
+    if drawn.returncode:
+        return None
+    os.environ.update(environment)
+    return import_module("pyvista")
 
 
 def _draw(report: Report, field: Field, panel: Any, t: Array, i: int) -> Any:

@@ -88,9 +88,14 @@ def _plastic_points(scene: Scene, states: Array) -> Iterator[tuple[Indices, Arra
     """Of each plasticity the cell, the weight, p and, in plane stress, e_zz of each point."""
     known = zip(scene.effects, scene.internal, strict=True)
     parts = [part for one, part in known if isinstance(one, Plasticity)]
-    own = [(one, at) for one in scene.yields if (at := one.rows.cells) is not None]
     flat = scene.discretisation.kind == "plane stress"
-    for (one, cells), part in zip(own, parts, strict=True):
+    for one in scene.yields:
+        if (cells := one.rows.cells) is None:
+            continue
+        unknown = one.rows.E.nonzero()[1].max(initial=0)
+        part = next((part for part in parts if part.start <= unknown < part.stop), None)
+        if part is None:  # another effect may have cells too
+            continue
         rows, first = one.rows, one.slopes is not None
         p = (rows.E @ states.T).T.reshape(len(states), -1, rows.block)[..., first:]
         yield cells, rows.weight, p, states[:, part][:, : flat * rows.weight.size]

@@ -149,7 +149,7 @@ class SweepingProcess(Displayed):
             )
         if self.B is not None and not is_semidefinite(self.B):
             raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
-        self.time_scale, self._checked = 0.0, (0, list[Any]())
+        self.time_scale = 0.0
         try:
             self.metric = Factor(self.A, "A")
         except IndefiniteError:
@@ -292,15 +292,13 @@ class SweepingProcess(Displayed):
     def check(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         """Check C(t) on the given increasing times, before any solver runs.
 
-        Returns what `MovingSet.members` does, and raises its errors; once for the same times.
+        Returns what `MovingSet.members` does, and raises its errors.
 
         Warns
         -----
         VariationWarning
             If C(t) jumps by an infinite distance, as far as that can be seen.
         """
-        if (key := hash(times.tobytes())) == self._checked[0]:
-            return self._checked[1]
         members = self.C.members(times)
         for _, C in members:
             _check_written(C)
@@ -314,7 +312,6 @@ class SweepingProcess(Displayed):
                     "variation, as the theory asks; the steps are solved all the same",
                     VariationWarning,
                 )
-        self._checked = key, members
         return members
 
     def check_start(self, t: float, nearest: Nearest | None = None) -> bool:
