@@ -157,6 +157,36 @@ class Disc(so.ConvexSet):
         return self.law(p, self.y)
 
 
+class Orthant(so.ConvexSet):
+    """A user's cone without offsets: its support function is 0 or inf."""
+
+    dim, offsets = 2, np.zeros(0)
+
+    def support(self, z):
+        return 0.0 if (z <= 0).all() else np.inf
+
+    def project(self, w):
+        return np.maximum(w, 0.0)
+
+    def features(self, p):
+        return Features((), (p <= 0,))
+
+
+def of_own(D):
+    load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
+    process = so.SweepingProcess(np.eye(2), None, so.Moving(D, load), [0.0, 0.0])
+    return so.solve(process, t_end=1.0, steps=4)
+
+
+def lawless(law, **wrong):
+    return of_own(Disc(law=law, **wrong))
+
+
+def test_a_cone_of_ones_own_may_have_no_offsets_and_features_may_be_tuples():
+    assert of_own(Orthant()).success
+    assert lawless(lambda p, y: Features((y,), (cp.norm(p) <= y[0],))).success
+
+
 @pytest.mark.parametrize(
     "wrong, message",
     [

@@ -20,7 +20,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -48,14 +48,14 @@ class Features(NamedTuple):
 
     Attributes
     ----------
-    y : list of cvxpy expressions
+    y : list or tuple of cvxpy expressions
         Stacked they have one entry for each of the set's offsets.
-    constraints : list of cvxpy constraints
+    constraints : list or tuple of cvxpy constraints
         Of a cone: they hold for s p and s y, s > 0, where they hold for p and y.
     """
 
-    y: list[cp.Expression]
-    constraints: list[cp.Constraint]
+    y: Sequence[cp.Expression]
+    constraints: Sequence[cp.Constraint]
 
 
 class Perturbation(NamedTuple):

@@ -8,9 +8,9 @@ serves them all.
 from __future__ import annotations
 
 import copy
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial, wraps
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -162,7 +162,7 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
 
 def _operated(module: str, name: str, operands: list[Any], t: float) -> ConvexSet:
     """What an operation, by its name as pickles need it, makes of its operands at a time."""
-    operation = getattr(sys.modules[module], name)
+    operation = getattr(import_module(module), name)
     return operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
 
 

@@ -10,6 +10,7 @@ cannot have of their own, cvxpy's numbers of variables, they take in turns here.
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import warnings
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
-from sweepopt.checks import entries
+from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, called, shown
 from sweepopt.sets.base import ConvexSet, binary
 
@@ -71,18 +72,31 @@ def check_features(C: ConvexSet) -> None:
         given = called(C.features, cp.Constant(z), name)
     except NotImplementedError:  # of small programs the projection is enough
         return
-    h = entries(f"{type(C).__name__}.offsets", getattr(C, "offsets", None))
+    h = vector(f"{type(C).__name__}.offsets", getattr(C, "offsets", None))
     if np.shape(C.offsets) != h.shape:
         raise InputError(f"offsets must be an array of shape ({h.size},), got {h[0]:g}")
-    if not (isinstance(given, tuple) and [type(x) for x in given] == [list, list]):
+    pair = isinstance(given, tuple) and len(given) == 2
+    if not (pair and all(isinstance(x, (list, tuple)) for x in given)):
         raise InputError(f"{name} must return Features([y], [constraints]), got {shown(given)}")
-    y, size = cp.hstack(given[0]), float(np.abs(h).max()) or 1.0
-    if y.size != h.size:
-        raise InputError(f"{name}: y has {y.size} entries for {h.size} offsets; give one each")
-    problem = cp.Problem(cp.Minimize(h / size @ y), given[1])
-    if not problem.is_dcp():
-        raise InputError(f"{name}: its constraints are not convex (DCP of cvxpy)")
-    sigma, least = C.support(z), size * problem.solve(solver="CLARABEL")
+    for shape in map(np.shape, given[0]):
+        if len(shape) > 1:
+            raise InputError(f"{name}: y has shape {shape}; give numbers and vectors")
+    count, size = sum(map(np.size, given[0])), float(np.abs(h).max(initial=0.0)) or 1.0
+    if count != h.size:
+        raise InputError(f"{name}: y has {count} entries for {h.size} offsets; give one each")
+    sigma = C.support(z)
+    try:
+        value = h / size @ cp.hstack(given[0]) if count else cp.Constant(0.0)
+        problem = cp.Problem(cp.Minimize(value), given[1])
+        if not problem.is_dcp():
+            raise InputError(f"{name}: its constraints are not convex (DCP of cvxpy)")
+        least = problem.solve(solver="CLARABEL")
+        # of a program without variables cvxpy gives None
+        least = math.inf if problem.status == cp.INFEASIBLE else size * float(least)
+    except SweepoptError:
+        raise
+    except Exception as error:  # whatever cvxpy has against a user's expressions
+        raise InputError(f"{name} is no program: {type(error).__name__}: {error}") from error
     if not (sigma == least or abs(sigma - least) <= 1e-3 * max(size, abs(sigma))):
         raise InputError(
             f"{name} contradicts support: for z = {shown(z)} the least <offsets, y> is "

@@ -89,6 +89,7 @@ class VelocityProgram:
         scaled = weights @ self.M.M @ weights / self.stiffness
         scaled = 0.5 * (scaled + scaled.T)
         y, constraints = self.cone.features(-z)
+        y, constraints = list(y), list(constraints)
         tied = {own.id for constraint in constraints for own in constraint.variables()} | {x.id}
         for k, feature in enumerate(y):
             if any(
