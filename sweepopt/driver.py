@@ -105,7 +105,8 @@ def solve(
         The solver of a step in parts is "osqp/4" in `stats`, its certificate the worst of theirs.
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
-        callback sees, and save= counts, the steps of the last run only, which is run once more.
+        callback sees, and save= counts, the steps of the last run only, which is run once more;
+        of a run that stops early (on_failure, Ctrl-C) there is none: no file, no call.
     path : {"auto", "proportional", "eliminated", "return mapping", "cones", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A

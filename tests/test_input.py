@@ -58,6 +58,7 @@ def test_bad_input_is_refused_by_name(module, call, words):
     with pytest.raises(so.SweepoptError) as caught:
         eval(call, vars(import_module(module)))
     name, _, first = words[0].partition(": ")
+    assert first
     assert type(caught.value).__name__ == name
     for pattern in (first, *words[1:]):
         assert re.search(pattern, str(caught.value))

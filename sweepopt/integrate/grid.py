@@ -49,6 +49,8 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
         try:
             n = count("steps", steps)
         except InputError as error:
+            if not (isinstance(steps, (float, np.floating)) and 0 < steps < 1):
+                raise
             hint = "for steps of length dt give round(t_end / dt), or the times themselves"
             raise InputError(f"{error}; {hint}") from None
         if n > MOST:

@@ -64,7 +64,7 @@ class _Storage(FileIO):
 class NetCDFSink:
     """Appends times, states and velocities to a file that takes its name when it is closed.
 
-    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`. All variables
+    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`. All arrays
     have checksums.
 
     Attributes

@@ -9,7 +9,7 @@ import gc
 import time as clock
 import warnings
 from contextlib import suppress
-from functools import cache, partial
+from functools import lru_cache, partial
 from math import inf, nan
 from typing import Any, NamedTuple
 
@@ -158,11 +158,11 @@ class Reference(NamedTuple):
         return error if error >= SAFETY * self.uncertainty else nan
 
 
-@cache
+@lru_cache(8)
 def find_reference(source: Source, steps: int) -> Reference:
     """The states of a problem on a grid of equal steps; what goes wrong leaves none.
 
-    They are computed once in each process.
+    They are computed once in each process, of the last problems.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)

@@ -24,6 +24,7 @@ from sweepopt.study.hard.suite import Judgement, run_case
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
 """What the default is to keep: its error over the best one, and its `ringing`."""
+KNOWN = 0.1  # of a bound: a reference that is less certain does not tell whether it holds
 SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 
@@ -174,6 +175,7 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
         }
         return entries, {
             "false stick": entries["false_sticks"],
+            "no reference": bounds and reference.uncertainty > KNOWN * bound,
             "bound below the error": bound < between - reference.uncertainty,
             f"error above {TWICE:g} times the best": entries["over_best"] > TWICE,
             "velocities ring": entries["ringing"] > RINGS,

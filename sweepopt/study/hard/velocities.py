@@ -116,7 +116,8 @@ def _load(names: Names, random: Random, n: int, few: np.ndarray, edge: Any) -> n
     if not shares or edge is None:
         return 3 * random.normal(size=n)
     signs, *sizes = shares
-    beside = random.choice(signs, few.size)
+    # one sign takes no number from the seed
+    beside = random.choice(signs, few.size) if len(signs) > 1 else np.full(few.size, signs[0])
     if sizes:
         low, high = sizes
         beside *= between(random, low, high, few.size)
