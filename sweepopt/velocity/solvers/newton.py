@@ -162,7 +162,7 @@ class _Iteration:
             self._key = b""
             try:
                 self._step = _tangent(self._M.M, D, T)
-            except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):  # singular
+            except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError, ValueError):  # or nan
                 return False
         self._key = key
         return True
