@@ -301,7 +301,10 @@ def _mark(report: Report, panel: Any, t: float, points: Array, **look: Any) -> N
     """Nodes with friction in the colours of their states, with a casing against the field."""
     if (slip := report.slip) is not None:
         colours = _colours(report, t)
-        panel.scatter(*points[slip.contact.node].T, s=24, c=colours, ec="white", zorder=2, **look)
+        spots = points[slip.contact.node].T
+        # all casings first: they would hide neighbours
+        panel.scatter(*spots, s=32, c="white", zorder=2, **look)
+        panel.scatter(*spots, s=24, c=colours, lw=0, zorder=2, **look)
 
 
 def _colours(report: Report, t: float) -> Array:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import choice, number
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.grid import (
     contraction,
@@ -87,6 +87,8 @@ class SolveOptions:
         for name in ("tol", "memory"):
             value = number(name, getattr(self, name), minimum=0.0, strict=True)
             object.__setattr__(self, name, value)
+        if isinstance(self.scheme, Adaptive):
+            raise InputError(f"scheme {shown(self.scheme)}: Adaptive goes into steps")
         if self.steps is Adaptive:
             raise InputError("steps must be an object, got a class; call it: so.Adaptive(tol)")
 

@@ -166,9 +166,7 @@ def choose(name: str, coercive: bool) -> Scheme:
     """
     known = {"auto": SCHEMES["sdirk2"], **SCHEMES}
     if not isinstance(name, str) or name not in known:
-        names = ", ".join(known)
-        is_adaptive = type(name).__name__ == "Adaptive"  # its module imports this one
-        hint = "; Adaptive goes into steps" if is_adaptive else suggestion(name, known)
+        names, hint = ", ".join(known), suggestion(name, known)
         raise InputError(f"scheme {shown(name)} is not known; use {names}{hint}")
     scheme = known[name]
     if not coercive and not scheme.implicit:

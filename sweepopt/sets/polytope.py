@@ -81,8 +81,9 @@ class Polytope(ConvexSet):
         Of all y >= 0 those that minimise |sum_i y_i (v_i - w) / unit|^2 + (sum_i y_i - 1)^2 are
         multiples of the shares of the nearest point, but for absolute tolerances of NNLS. So Wolfe
         goes on (Finding the nearest point in a polytope, Math. Programming 11, 1976): a vertex
-        ahead of the point enters, those whose share would be negative leave. All is measured from
-        the vertex with the largest share: no rounding of a far w, or vertex, hides another one.
+        ahead of the point enters, those whose share would be negative leave. From the
+        second turn on all is measured from the vertex with the largest share: no rounding of a far
+        w, or vertex, hides another one.
         """
         V, size = self.vertices, max(np.abs(w).max(), np.abs(self.vertices).max()) or 1.0
         system = np.vstack([(V - w).T / size, np.ones(len(V))])
