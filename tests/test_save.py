@@ -345,9 +345,24 @@ def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_pat
     assert not list(tmp_path.iterdir())
 
 
+def test_every_flipped_bit_and_every_cut_of_a_file_is_named(tmp_path):
+    file, random = tmp_path / "run.nc", np.random.default_rng(0)
+    so.solve(slider(), t_end=4.0, steps=500, save=file)
+    content = file.read_bytes()
+    damaged = [content[: random.integers(len(content))] for _ in range(20)]
+    for _ in range(100):
+        flipped = bytearray(content)
+        flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
+        damaged.append(bytes(flipped))
+    for one in [b"", content[:-1], content[:-100] + bytes(100), content + b"\n", *damaged]:
+        file.write_bytes(one)
+        with pytest.raises(so.CheckpointError, match=r"run.nc (is damaged|has no checksum)"):
+            so.Solution.load(file)
+
+
 # h5netcdf says so when it closes what it could not open
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_flipped_bits_and_cut_files_are_named(tmp_path):
+def test_numbers_read_by_other_programs_or_later_have_checksums(tmp_path):
     file, random = tmp_path / "run.nc", np.random.default_rng(0)
     sol = so.solve(slider(), t_end=4.0, steps=500, save=file)
     whole, content = so.solve(slider(), t_end=4.0, steps=500), file.read_bytes()
@@ -356,40 +371,25 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path):
     for heap in re.finditer(b"GCOL", content):
         size = int.from_bytes(content[heap.start() + 8 :][:8], "little")
         outside[heap.start() :][:size] = False
-    outside = np.flatnonzero(outside)
-    damaged = []
-    for _ in range(12):
+    outside, found = np.flatnonzero(outside), 0
+    for k in range(16):
         flipped = bytearray(content)
         flipped[random.choice(outside)] ^= 1 << int(random.integers(8))
-        damaged += [bytes(flipped), content[: random.integers(len(content))]]
-    found = 0
-    for one in damaged:
         file.unlink()  # HDF5 remembers a file that it has open
-        file.write_bytes(one)
-        try:
-            assert np.array_equal(sol.states.u(slice(None)), whole.u)
-            assert np.array_equal(sol.states.velocity([0, -1]), whole.velocity[[0, -1]])
-            loaded = so.Solution.load(file)
-            assert np.array_equal(loaded.velocity, whole.velocity)
-            for name in ("relative", "solver"):
-                assert np.array_equal(loaded.stats[name], whole.stats[name])
-        except so.CheckpointError as error:
-            assert "run.nc is damaged" in str(error)  # noqa: PT017
-            found += 1
-    assert found > 15
-    for _ in range(4):  # as users read it
-        flipped = bytearray(content)
-        flipped[random.choice(outside)] ^= 1 << int(random.integers(8))
-        file.unlink()
         file.write_bytes(flipped)
         try:
-            with xr.open_dataset(file, engine="h5netcdf") as dataset:
-                u, velocity = dataset.u.values, dataset.velocity.values
+            if k % 2:
+                u, velocity = sol.states.u(slice(None)), sol.states.velocity(slice(None))
+            else:
+                with xr.open_dataset(file, engine="h5netcdf") as dataset:
+                    u, velocity = dataset.u.values, dataset.velocity.values
         # by version of h5netcdf
-        except (OSError, KeyError, RuntimeError, AttributeError, UnicodeDecodeError):
+        except (so.CheckpointError, OSError, KeyError, RuntimeError, AttributeError, ValueError):
+            found += 1
             continue
         assert np.array_equal(u, whole.u)
         assert np.array_equal(velocity, whole.velocity)
+    assert found > 8
 
 
 def test_every_variable_of_a_file_has_a_checksum(tmp_path):
