@@ -233,4 +233,7 @@ class BoundWarning(SweepoptWarning):
 
 
 class CheckpointWarning(SweepoptWarning):
-    """A run is continued from an older checkpoint, or with other versions than it began with."""
+    """A run is continued from an older checkpoint, or with other versions than it began with.
+
+    Or a file is read with a process that is not that of its run to the last bit.
+    """

@@ -121,6 +121,10 @@ def test_a_solution_is_loaded_as_it_was_saved(save, tmp_path):
         so.Solution.load(files[0]).viability()
     with pytest.raises(so.InputError, match=r"process has dim 1, but .* has dim 40"):
         so.Solution.load(files[0], slider())
+    parts = {"A": 2.0 * sol.process.A, "B": sol.process.B, "C": sol.process.C + np.full(40, 1e-3)}
+    other = so.SweepingProcess(**parts, u0=sol.process.u0)
+    with pytest.warns(so.errors.CheckpointWarning, match=r"A, C\(t\) of process and of the run in"):
+        so.Solution.load(files[0], other)
 
 
 def test_a_damaged_or_missing_file_is_named(tmp_path):

@@ -13,6 +13,7 @@ from sweepopt.integrate.checkpoint import (
 )
 from sweepopt.integrate.exact import Trajectory
 from sweepopt.integrate.field import compatible_start, velocity_field
+from sweepopt.integrate.fingerprint import differences, fingerprint
 from sweepopt.integrate.grid import (
     check_stability,
     divided,
@@ -73,7 +74,9 @@ __all__ = [
     "combination",
     "compatible_start",
     "compensated_sum",
+    "differences",
     "divided",
+    "fingerprint",
     "first_grid",
     "implicit_euler",
     "integrate",

@@ -28,7 +28,7 @@ from sweepopt.errors import (
     shown,
     warn,
 )
-from sweepopt.integrate.fingerprint import fingerprint
+from sweepopt.integrate.fingerprint import differences, fingerprint
 from sweepopt.integrate.options import SolveOptions, decoded, encoded
 from sweepopt.integrate.record import Grid, Run
 from sweepopt.io import locked, read_npz, remove_parts, versions_of, writable, write_npz
@@ -163,9 +163,7 @@ def _read(file: Path) -> StoredRun:
 
 def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.ndarray) -> None:
     """Refuse a checkpoint of another problem, and warn of other versions."""
-    began, now = stored.record["problem"], fingerprint(process, times)
-    differ = [name for name in now if began.get(name) != now[name]]
-    if differ:
+    if differ := differences(stored.record["problem"], process, times):
         raise InputError(
             f"{stored.file} is a checkpoint of another problem: {', '.join(differ)} "
             f"{'differ' if len(differ) > 1 else 'differs'} from what the run began with"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -36,6 +36,12 @@ def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
     return {
         name: hashlib.sha256(b" ".join(_bytes(part))).hexdigest() for name, part in parts.items()
     }
+
+
+def differences(began: Mapping[str, str], process: SweepingProcess, times: np.ndarray) -> list[str]:
+    """The parts of a process that are not those of the fingerprint of another at these times."""
+    now = fingerprint(process, times)
+    return [name for name in now if began.get(name) != now[name]]
 
 
 def _bytes(value: Any) -> Iterator[bytes]:

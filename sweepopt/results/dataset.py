@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import uuid
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from sweepopt.errors import DamagedFileError, InputError, brought_by
-from sweepopt.integrate import Index, States, StepInfo
+from sweepopt.integrate import Index, States, StepInfo, fingerprint
 from sweepopt.io import as_path, part_of, versions_of
 
 if TYPE_CHECKING:
@@ -340,6 +341,7 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
             "solver": solver_name(solution),
             "tol": plan.tol,
             "unknowns_digest": solution.process.unknowns_digest,
+            "problem": json.dumps(fingerprint(solution.process, solution.t)),
         },
     )
     run = run.assign(solver=run.solver.astype(object)).set_coords("step_end")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
@@ -13,7 +14,16 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import BoundWarning, InputError, PathError, Status, SweepoptError, shown, warn
+from sweepopt.errors import (
+    BoundWarning,
+    CheckpointWarning,
+    InputError,
+    PathError,
+    Status,
+    SweepoptError,
+    shown,
+    warn,
+)
 from sweepopt.integrate import (
     BY_EULER,
     ROW,
@@ -21,6 +31,7 @@ from sweepopt.integrate import (
     Pass,
     States,
     Statistics,
+    differences,
     implicit_euler,
     program_of_stage,
 )
@@ -489,6 +500,11 @@ class Solution(Displayed):
         CheckpointError
             If it is not as it was written.
 
+        Warns
+        -----
+        CheckpointWarning
+            If A, B or C(t) of the process are not those of the run.
+
         Examples
         --------
         >>> import pathlib, tempfile
@@ -519,6 +535,12 @@ class Solution(Displayed):
             digest = run.attrs.get("unknowns_digest", given.unknowns_digest)
             if digest != given.unknowns_digest or not np.array_equal(given.u0, u[0]):
                 raise InputError(f"process is not that of {path}: its unknowns or u0 are others")
+            if differ := differences(json.loads(run.problem), given, run.time.values):
+                warn(
+                    f"{', '.join(differ)} of process and of the run in {path} are not the same to "
+                    "the last bit; bounds and viability hold for the run's own process",
+                    CheckpointWarning,
+                )
             plan = make_plan(process, process.check(run.time.values), scheme, "auto", run.tol)
         return cls(
             process=given,
