@@ -14,7 +14,7 @@ from functools import partial
 from io import BytesIO, FileIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -206,7 +206,7 @@ def netcdf_bytes(dataset: xr.Dataset) -> bytes:
     return content.getvalue()
 
 
-def _end_with_checksum(file: BinaryIO | FileIO) -> None:
+def _end_with_checksum(file: BytesIO | FileIO) -> None:
     """Without it HDF5 has to judge damage: in its heaps of texts it can then read without end."""
     file.seek(0)
     digest = hashlib.file_digest(file, "sha256").digest()
@@ -224,7 +224,7 @@ def _check(path: Path) -> None:
             f"{path} has no checksum at its end: it is damaged, was changed, or is no file of "
             "sol.save or save=; xarray.open_dataset reads any NetCDF file, unchecked"
         )
-    if hashlib.sha256(content[:-mark]).digest() != end:
+    if hashlib.sha256(content[:-mark].data).digest() != end:
         raise DamagedFileError(f"{path} is damaged: its checksum is not that of what is in it")
 
 
