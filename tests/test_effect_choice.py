@@ -153,6 +153,13 @@ def test_an_effect_leaves_what_the_others_add_bitwise_as_it_is():
             assert np.array_equal(rows.at(0.0), mine.at(0.0))
 
 
+@pytest.mark.parametrize("name", ["ring", "plate"])
+def test_plasticity_leaves_the_elastic_matrix_bitwise_as_it_is(name):
+    elastic = read_scene(name, without=["plasticity"]).problem.B
+    n = elastic.shape[0]
+    assert np.array_equal(read_scene(name).problem.B[:n, :n].toarray(), elastic.toarray())
+
+
 def test_absent_effects_import_no_solver():
     code = (
         "import sys; from sweepopt.fem import read_scene;"

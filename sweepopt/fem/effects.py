@@ -203,7 +203,7 @@ class Viscosity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        place = body.place("eta", (BODY,))
+        place = body.place("eta", (BODY,), strains=True)
         return Contribution(A=_stiffness(body, place, *self.moduli(body, place), self.tensor))
 
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
@@ -256,12 +256,9 @@ class Elasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
-        B = self.stiffness(body, body.place("kappa", (BODY,)))
+        place = body.place("kappa", (BODY,), strains=True)
+        B = _stiffness(body, place, *self.moduli(body, place), self.tensor)
         return Contribution(B=B if B.count_nonzero() else None)
-
-    def stiffness(self, body: Discretisation, place: Place) -> sp.csc_array:
-        """B of the cells of a quadrature, by that quadrature."""
-        return _stiffness(body, place, *self.moduli(body, place), self.tensor)
 
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
@@ -648,7 +645,7 @@ class Eigenstrain(Record):
         """One term of the load."""
         if body.components == 1:
             raise InputError("strain: an isotropic strain does nothing in antiplane shear")
-        place = body.place("strain", (BODY,))
+        place = body.place("strain", (BODY,), strains=True)
         strain, E, nu = self.values_at(place, *self.data)
         _check_compressible(nu)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)

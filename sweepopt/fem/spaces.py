@@ -182,12 +182,16 @@ class Discretisation(Brief):
 
     @cached_property
     def basis(self) -> skfem.CellBasis:
-        """The scikit-fem basis of all components, in the cells.
+        """The scikit-fem basis of all components, in the cells, with the quadrature of strains.
 
-        Its quadrature has an order two above what constant coefficients on straight edges need.
-        Scenes drop it once they are assembled: of a solid it takes 9 kB a tetrahedron.
+        Everything that is an integral of strains is one by this quadrature, whose points are those
+        of stresses and plastic strains: of P1 elements the centroid, of P2 one exact on quadratic
+        functions. Scenes drop it once they are assembled, as it is large.
         """
-        return skfem.CellBasis(self.mesh, self._element, intorder=2 * self.scalar.elem.maxdeg + 2)
+        order, rule, d = 2, None, self.mesh.dim()
+        if self.scalar.elem.maxdeg == 1:
+            rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
+        return skfem.CellBasis(self.mesh, self._element, intorder=order, quadrature=rule)
 
     @cached_property
     def nodes(self) -> Indices:
@@ -416,12 +420,12 @@ class Discretisation(Brief):
         nodal : bool
             With the scalar element and a quadrature whose points are the nodes.
         strains : bool
-            With one that integrates squares of strains in cells, of a degree less than u: of P1
-            elements the centroid.
+            With the quadrature of `basis`, in cells; the other has an order two above what
+            products of u on straight edges need.
         """
         inside, degree = self.mesh.subdomains or {}, self.scalar.elem.maxdeg
         nodes, groups, d = self.scalar.element_dofs, dict[str, Indices](inside), self.mesh.dim()
-        kind, parts, order, rule = skfem.CellBasis, dict[str, Indices](), 2 * degree + 2, None
+        kind, parts, rule = skfem.CellBasis, dict[str, Indices](), None
         if all(name in inside for name in on):
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
@@ -430,16 +434,14 @@ class Discretisation(Brief):
             facets, groups = self.facets(what, on)
             kind, parts, d = skfem.FacetBasis, {"facets": facets}, d - 1
             nodes = self.facet_nodes(facets)
-        elif not (nodal or strains):
+        elif strains:
             return Place(self.basis, groups, nodes)
         if nodal:
             rule = self.rule(d)
         elif strains and kind is skfem.CellBasis:
-            order = 2
-            if degree == 1:  # the centroid, exact on linear functions
-                rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
+            rule = self.basis.quadrature
         element = self.scalar.elem if nodal else self._element
-        basis = kind(self.mesh, element, intorder=order, quadrature=rule, **parts)
+        basis = kind(self.mesh, element, intorder=2 * degree + 2, quadrature=rule, **parts)
         if nodal and self.lumped and kind is skfem.CellBasis:
             # each node counts as one, in however many cells it is
             times = np.bincount(basis.element_dofs.ravel(), minlength=basis.N)
