@@ -430,6 +430,7 @@ def polar_of(frame, rng, s):
 
 def cone_half_space(frame, rng, dim=None):
     normal = frame.normal(size=_dim(frame, dim))
+    normal[0] = -abs(normal[0])  # the axis of the second-order cone is in it
     return Sample(so.HalfSpace(normal, 0.0), lambda w: [normal @ w <= 0])
 
 
@@ -692,7 +693,10 @@ def supports_add_in_sums_and_products(entry, s, rng):
     close(pair.support(np.concatenate([z, z])), expected, entry.support_tol, unit)
     M = rng.normal(size=(s.C.dim, s.C.dim))
     pulled = np.linalg.solve(M.T, z)
-    close(so.image(M, s.C).support(pulled), s.C.support(z), 1e-9 + entry.support_tol, unit)
+    of_image = so.image(M, s.C).support(pulled)
+    # on the edge of the domain of sigma, where many normals are, the rounding of M^T pulled decides
+    if entry.bounded or np.isfinite(of_image):
+        close(of_image, s.C.support(z), 1e-9 + entry.support_tol, unit)
 
 
 def intersection_with_a_large_ball_changes_nothing(entry, s, rng):

@@ -201,7 +201,10 @@ class Lifted(ConvexSet):
             p = far.splitting.normal(far) / FAR if far.exact else p
         size = np.abs(p).max()
         noise = np.abs(p) <= ROUNDING * (size if size > ROUNDING * np.abs(v).max() else np.inf)
-        return NormalPair(np.where(noise, 0.0, p), near.w.copy(), 0.0)
+        clean = np.where(noise, 0.0, p)
+        if self.lifted.F.shape[0] or np.isfinite(self.support(clean)):
+            p = clean
+        return NormalPair(p, near.w.copy(), 0.0)
 
     def _nearest(self, v: np.ndarray) -> NormalPair:
         """The projection of v and its normal, as exact as they are found."""
