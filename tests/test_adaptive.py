@@ -97,9 +97,14 @@ def random_errors(seed, A, scheme):
     size = max(map(process.metric.norm, u))
     errors = []
     for tol in (1e-2 * size, 1e-3 * size):
-        sol = so.solve(
-            process, t_end=t_end, steps=so.Adaptive(tol), scheme=scheme, on_unstable="ignore"
-        )
+        try:
+            sol = so.solve(
+                process, t_end=t_end, steps=so.Adaptive(tol), scheme=scheme, on_unstable="ignore"
+            )
+        except so.StepError as refusal:  # one of 64 with catching-up; it counts as a miss
+            assert "rises with shorter steps" in str(refusal)  # noqa: PT017
+            errors.append(np.inf)
+            continue
         assert sol.success
         errors.append(error_of(sol) / tol)
     return errors

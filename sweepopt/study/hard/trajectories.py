@@ -199,7 +199,7 @@ def hard_trajectories(
                 case.process,
                 partial(_judge, case),
                 case.expected_refusal(scheme),
-                "InputError" if scheme == "exact" else "",  # it treats what it can
+                case.keys["exact_refuses"] if scheme == "exact" else "",
                 t_end=float(case.t[-1]),
                 steps=len(case.t) - 1,
                 scheme=scheme,
