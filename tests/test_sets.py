@@ -796,3 +796,15 @@ def test_a_sum_is_projected_on_beside_a_vertex(seeds):
         v = vertex + 2e-7 * np.random.default_rng(seed).normal(size=3)
         pair = C.normal_pair(v - C.project(v), C.project(v), np.ones(3))
         assert pair.gap == 0.0
+
+
+@pytest.mark.parametrize("given, lacks", [({}, "dim"), ({"dim": 1}, "offsets")])
+def test_a_set_of_ones_own_that_lacks_an_attribute_is_told_so(given, lacks):
+    class Half(so.ConvexSet):
+        def __init__(self):
+            self.__dict__ |= given
+
+        support = project = features = abs
+
+    with pytest.raises(so.InputError, match=f"^Half has no {lacks}: give it self.{lacks} = "):
+        so.SweepingProcess(1.0, None, Half(), 0.0).check([0.0])

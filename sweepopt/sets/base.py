@@ -23,7 +23,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -283,6 +283,22 @@ class Operators(Brief):
     __mul__ = __rmul__
 
 
+class _Required:
+    """Stands for an attribute that each set gives itself, and says so where one has not."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, C: ConvexSet | None, owner: type) -> Any:
+        if C is None:
+            return self
+        what = f"self.{self._name} = {self._what}"
+        raise InputError(f"{owner.__name__} has no {self._name}: give it {what}, in its __init__")
+
+
 class ConvexSet(Operators, ABC):
     """A non-empty closed convex set C in R^dim: the base of all sets, and of your own.
 
@@ -329,8 +345,10 @@ class ConvexSet(Operators, ABC):
     True
     """
 
-    dim: int
-    offsets: np.ndarray
+    dim: int = cast(int, _Required("its number of unknowns"))
+    offsets: np.ndarray = cast(
+        Any, _Required("an array of the numbers in which its support function is linear")
+    )
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
