@@ -800,11 +800,17 @@ def test_a_sum_is_projected_on_beside_a_vertex(seeds):
 
 @pytest.mark.parametrize("given, lacks", [({}, "dim"), ({"dim": 1}, "offsets")])
 def test_a_set_of_ones_own_that_lacks_an_attribute_is_told_so(given, lacks):
-    class Half(so.ConvexSet):
+    class Interval(so.ConvexSet):
         def __init__(self):
             self.__dict__ |= given
 
-        support = project = features = abs
+        def support(self, z):
+            return abs(z[0])
 
-    with pytest.raises(so.InputError, match=f"^Half has no {lacks}: give it self.{lacks} = "):
-        so.SweepingProcess(1.0, None, Half(), 0.0).check([0.0])
+        def project(self, w):
+            return np.clip(w, -1, 1)
+
+        features = None
+
+    with pytest.raises(so.InputError, match=f"^Interval has no {lacks}: give it self.{lacks} = "):
+        so.SweepingProcess(1.0, None, Interval(), 0.0).check([0.0])
