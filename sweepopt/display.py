@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from inspect import isroutine, signature
-from textwrap import fill, shorten
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,8 @@ def brief(value: Any) -> str:
     if hasattr(value, "nnz"):
         return f"sparse {value.shape}"
     if not isinstance(value, np.ndarray):
-        return shorten(repr(value), 99, placeholder=" ...")
+        words = " ".join(repr(value).split())
+        return words if len(words) < 100 else f"{words[:95]} ..."
     if value.size == 1:
         return repr(value.item())
     if value.size <= 4 or not np.issubdtype(value.dtype, np.number):

@@ -810,7 +810,9 @@ def test_a_set_of_ones_own_that_lacks_an_attribute_is_told_so(given, lacks):
         def project(self, w):
             return np.clip(w, -1, 1)
 
-        features = None
+        def features(self, p):
+            y = cp.Variable(1)
+            return so.sets.Features([y], [cp.abs(p) <= y])
 
     with pytest.raises(so.InputError, match=f"^Interval has no {lacks}: give it self.{lacks} = "):
         so.SweepingProcess(1.0, None, Interval(), 0.0).check([0.0])

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from skfem.helpers import dot
 
 from sweepopt.checks import choice, listed, matrix, number, vector
-from sweepopt.display import Brief
+from sweepopt.display import Brief, by_parts
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Array, Coefficient, Datum, SlipLaw, in_time
@@ -139,6 +139,9 @@ class Record:
     """
 
     data: ClassVar[tuple[Coefficient, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        cls.__repr__ = by_parts  # type: ignore[method-assign]  # without the fields that are None
 
     def __post_init__(self) -> None:
         given = {name: value for name, value in vars(self).items() if value is not None}
