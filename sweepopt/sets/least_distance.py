@@ -227,12 +227,16 @@ class Parallel(NamedTuple):
     def opposite_but_for_rounding(self, R: Any) -> np.ndarray:
         """Which pairs of rows R are a wedge: opposite, but no row is a multiple of the other."""
         wedge = (self.sign < 0) & (row_lengths(R[self.i] + R[self.j]) > 0)
-        x, y = dense(R[self.i[wedge]]), dense(R[self.j[wedge]])
-        largest = np.abs(x).argmax(axis=1)[:, None]
-        of_x, of_y = (np.take_along_axis(z, largest, axis=1) for z in (x, y))
-        other = (of_y * x != of_x * y) | (product_error(of_y, x) != product_error(of_x, y))
-        wedge[wedge] = other.any(axis=1)
+        for k in np.flatnonzero(wedge):  # one by one, as all the rows may fill no memory
+            wedge[k] = not _multiples(*dense(R[[self.i[k], self.j[k]]]))
         return wedge
+
+
+def _multiples(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether y is a multiple of x, in exact arithmetic."""
+    k = np.abs(x).argmax()
+    equal = (y[k] * x == x[k] * y) & (product_error(y[k], x) == product_error(x[k], y))
+    return bool(equal.all())
 
 
 def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
