@@ -25,13 +25,13 @@ RUNS = {
 }
 MET = HardRow(
     *("threshold", 3, "full", "osqp", "each load is its friction bound", "|z| = 0, 0 of 36 move"),
-    *(2e-13, 4e-12, 0.0, "at rest", 0, 0.0021, "met"),
+    *(2e-13, 4e-12, 0.0, 0.0021, "met"),
 )
 HARD = (
     MET,
-    MET._replace(solver="clarabel", solved_by="clarabel", error=3e-10, attempts=4, seconds=0.5),
+    MET._replace(solver="clarabel", error=3e-10, seconds=0.5),
     MET._replace(family="condition", error=2e-6, verdict="certificate below the error"),
-    MET._replace(family="condition", solver="clarabel", error=np.nan, solved_by="", verdict=NASTY),
+    MET._replace(family="condition", solver="clarabel", error=np.nan, verdict=NASTY),
     HardRow("empty", 3, "full", "osqp", answer="refuse: EmptySetError", verdict="refused"),
 )
 WALL, STEPS = 0, 2  # diagrams of the page, a cost each

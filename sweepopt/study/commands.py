@@ -51,11 +51,11 @@ def study_command(options: argparse.Namespace) -> None:
         solutions = _fastest_runs(study, table)
         print(summary(table))
         files += [TABLE, DIAGRAM]
-    for name, found in parts.items():
+    for name, suite in parts.items():
         # in this process, from the start: hard cases take some minutes a seed
         (lines := folder / f"{name}.csv").unlink(missing_ok=True)
         rows = suites[name] = []
-        for row in found:
+        for row in suite:
             # as they come: an interrupt leaves those that are there
             pd.DataFrame([row]).to_csv(lines, mode="a", header=not rows, index=False)
             rows.append(row)

@@ -159,8 +159,6 @@ class HardRow(NamedTuple):
     excess : float
         Largest error - certificate in the unit of the forces, less ROUNDING where nothing moves:
         above 0 a certificate was wrong.
-    solved_by, attempts : str, int
-        Which solver answered the last step, and the most attempts at a step.
     seconds : float
         Of the run.
     verdict : str
@@ -176,8 +174,6 @@ class HardRow(NamedTuple):
     error: float = nan
     certificate: float = nan
     excess: float = nan
-    solved_by: str = ""
-    attempts: int = 0
     seconds: float = nan
     verdict: str = ""
 
@@ -273,8 +269,6 @@ def _judge(program: Program, exact: Callable[..., Exact], solution: Solution, _:
         "error": error,
         "certificate": certificate,
         "excess": excess,
-        "solved_by": stats["solver"][-1],
-        "attempts": stats["attempts"].max(),
     }
     return entries, {
         "no certificate": np.isnan(certificate),
