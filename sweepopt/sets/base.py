@@ -491,10 +491,14 @@ class ConvexSet(Operators, ABC):
         ratios : ndarray, shape (m,)
             A set with more than one such curve takes that of the smaller 2 gap + ratio distance^2.
         """
-        sigma = self.support_rows(p.reshape(-1, self.dim)).reshape(*p.shape[:2], 1)
+        sigma = self.supports_along(p, w)[:, :, None]
         each = np.maximum(sigma - p @ np.swapaxes(w, 1, 2), 0.0) + ROUNDING * np.abs(sigma)
         gaps = (products(2, w.shape[1] - 1) * each).sum(axis=(1, 2))
         return CurveGaps(gaps, np.zeros_like(gaps))
+
+    def supports_along(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """sigma(C, p_j) of quadratic curves p, or bounds of it that are close beside curves w."""
+        return self.support_rows(p.reshape(-1, self.dim)).reshape(p.shape[:2])
 
     def support_rows(self, rows: np.ndarray) -> np.ndarray:
         """`support` of each row, shape (m, dim)."""

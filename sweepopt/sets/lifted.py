@@ -9,6 +9,7 @@ features, projection and normal pairs read this form and nothing else.
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ from sweepopt.sets.base import (
     places,
     same_array,
 )
+from sweepopt.sets.curves import basis
 from sweepopt.sets.programs import normal_by_program, support_by_program
 from sweepopt.sets.projection import Projection, Projector, Splitting, Start, fixed_point
 
@@ -51,6 +53,8 @@ TENSION_EXACT = 1e6
 
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
 FAR = 2.0**200
+AHEAD = 1e3  # times its size a set is looked at from
+HALVES = np.array([0.0, 0.5, 1.0])
 
 
 class Lifted(ConvexSet):
@@ -217,7 +221,40 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return self._nearest(vector("w", w, self.dim)).w
+        v = vector("w", w, self.dim)
+        near = self.near(v) if self.certifiable and self._blocks is None else None
+        return near.w.copy() if near is not None and near.exact else self._nearest(v).w
+
+    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+        """Rows are points of curves: each projection starts from the one before."""
+        if self._blocks is not None:
+            return self._blocks.project_rows(rows)
+        start, points = None, []
+        for v in rows:
+            near = self._projection(v, start) if self.certifiable else None
+            exact = near is not None and near.exact
+            start = near.start if near is not None and exact else None
+            points.append(near.w if near is not None and exact else self.project(v))
+        return np.array(points)
+
+    def supports_along(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Of C & D by projections: the program of sigma takes 17 ms for each direction.
+
+        For w* = P_C(w + t p) the vector w + t p - w* is normal at w*, so that sigma(C, p) is at
+        most <p, w*> + (|w* - w| sup |C| - <w* - w, w*>) / t, which is exact where w* = w.
+        """
+        size = self.magnitude() if self.lifted.F.shape[0] else math.inf
+        if not math.isfinite(size):
+            return super().supports_along(p, w)
+        begin = basis(w.shape[1] - 1, HALVES) @ w
+        lengths = np.linalg.norm(p, axis=2, keepdims=True)
+        t = np.divide(AHEAD * size, lengths, out=np.zeros_like(lengths), where=lengths > 0)
+        far = self.project_rows((begin + t * p).reshape(-1, self.dim)).reshape(p.shape)
+        way = far - begin
+        excess = np.linalg.norm(way, axis=2) * size - (way * far).sum(axis=2)
+        rounding = 10 * ROUNDING * AHEAD * size * lengths[:, :, 0]
+        excess = np.divide(excess, t[:, :, 0], out=np.zeros_like(excess), where=t[:, :, 0] > 0)
+        return np.asarray((p * far).sum(axis=2) + excess + rounding)
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         return self._nearest(v).p

@@ -54,6 +54,11 @@ class Projection(NamedTuple):
     exact: bool
     splitting: Splitting
 
+    @property
+    def start(self) -> Start:
+        """From which a projection of another point nearby may start."""
+        return Start(self.s, self.image - self.s).scaled(1 / self.splitting.units)
+
 
 class Start(NamedTuple):
     """Points s of the parts and their normals n."""
@@ -121,8 +126,7 @@ class InMetric:
         """About z, the points of the parts, and the normals that add up to -z."""
         v = self._inverse @ q
         near = self._projector(v, start)
-        points = Start(near.s, near.image - near.s).scaled(1 / near.splitting.units)
-        return self._inverse.T @ (near.w - v), points
+        return self._inverse.T @ (near.w - v), near.start
 
 
 class Splitting:
