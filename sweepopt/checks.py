@@ -80,11 +80,13 @@ def _checked(function: Any, owner: Any) -> Any:
 
 def takes(name: str, function: Any, *given: str) -> None:
     """Refuse what is no function of the given arguments, as far as its signature tells."""
+    wanted = f"{name} must be a function of ({', '.join(given)}), got {shown(function)}"
+    if not callable(function):
+        raise InputError(wanted)
     try:
         signature(function).bind(*given)
     except TypeError as error:
-        wanted = f"a function of ({', '.join(given)})"
-        raise InputError(f"{name} must be {wanted}, got {shown(function)} ({error})") from None
+        raise InputError(f"{wanted} ({error})") from None
     except ValueError:  # some of other languages have no signature
         return
 

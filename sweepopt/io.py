@@ -129,8 +129,8 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
     InputError
         Naming the file, the column and the row at fault.
     """
-    for name in (time, *others):
-        if not isinstance(name, str | None):
+    for name in others if time is None else (time, *others):
+        if not isinstance(name, str):
             raise InputError(f"{path}: the name of a column must be text, got {shown(name)}")
     table = {}
     for row, line in enumerate(read_text(as_path("path", path)).splitlines(), start=1):

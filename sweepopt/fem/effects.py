@@ -145,8 +145,8 @@ class Record:
 
     def __post_init__(self) -> None:
         given = {name: value for name, value in vars(self).items() if value is not None}
-        if "on" in given:
-            object.__setattr__(self, "on", boundary_names("on", given["on"]))
+        if "on" in vars(self):
+            object.__setattr__(self, "on", boundary_names("on", vars(self)["on"]))
         for name in ("history", "moved"):
             if name in given and not callable(given[name]):
                 raise InputError(
