@@ -274,3 +274,10 @@ def test_the_certificate_of_a_long_thin_ellipsoid_is_not_below_the_error(seed):
     c = rng.integers(-2, 3, size=4).astype(float)
     found = velocity(M, c + corner / 2 + M @ p, so.Ellipsoid(c, shape), tol=1e-4)
     assert Factor(M).norm(found.z + p) <= found.certificate
+
+
+@pytest.mark.parametrize("solver", ["auto", "clarabel", "osqp"])
+def test_nothing_moves_where_c_is_the_whole_space(solver):
+    process = so.EvolutionVI(0.5, 0.5, dissipation=so.WholeSpace(1), u0=[1.0])
+    sol = so.solve(process, t_end=1.0, steps=2, solver=solver)
+    assert np.array_equal(sol.u, np.ones((3, 1)))

@@ -139,3 +139,18 @@ def test_an_incompatible_start_is_refused_and_a_compatible_one_computed():
     assert so.compatible_start(still) == pytest.approx([0.5])
     coercive = so.SweepingProcess(1.0, 2.0, so.Box(-1, 1), 3.0)
     assert so.compatible_start(coercive) == pytest.approx([3.0])
+
+
+def test_zeros_that_are_stored_couple_nothing():
+    A = sp.csr_array(([1.0, 0.0, 0.0, 0.0], ([0, 0, 1, 1], [0, 1, 0, 1])))
+    assert A.nnz == 4
+    pull = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 1.0])])
+    box, u0 = so.Box(-np.ones(2), np.ones(2)), np.zeros(2)
+    runs = [
+        so.solve(
+            so.EvolutionVI(M, np.eye(2), load=pull, dissipation=box, u0=u0), t_end=4.0, steps=20
+        )
+        for M in (A, A.toarray())
+    ]
+    np.testing.assert_allclose(runs[0].u, runs[1].u, rtol=0, atol=1e-12)
+    assert float(runs[0].error_bound()) < np.inf

@@ -32,7 +32,8 @@ def kernel(M: Matrix) -> Matrix:
     InputError
         If too many unknowns are coupled.
     """
-    rows, columns = sp.csr_array(M), []
+    rows, columns = sp.csr_array(M, copy=True), []
+    rows.eliminate_zeros()
     _, group = csgraph.connected_components(rows, directed=False)
     alone = np.bincount(group)[group] == 1
     diagonal = np.asarray(M.diagonal(), dtype=float)

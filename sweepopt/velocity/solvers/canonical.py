@@ -102,6 +102,8 @@ def _canonical(program: VelocityProgram, solver: str) -> tuple[dict[str, Any], s
         variable.value = np.zeros(variable.shape)  # any point: the expression is linear
     total = sp.csr_array((data["P"].shape[0], linear.size))
     for variable, part in linear.grad.items():
+        if not variable.size:  # cvxpy drops it
+            continue
         part = sp.coo_array(part if sp.issparse(part) else np.atleast_2d(part))  # a number if 1 x 1
         column = data["param_prob"].var_id_to_col[variable.id]
         placed = (part.data, (part.row + column, part.col))
