@@ -24,6 +24,7 @@ from tests.laws import (
 
 UNIT = so.Ball([0.0, 0.0], 1.0)
 EYE, INF, NAN = np.eye(2), np.inf, float("nan")
+SIDES = np.full(3, 0.8)
 
 
 def obeys(law, name, times):
@@ -816,3 +817,17 @@ def test_a_set_of_ones_own_that_lacks_an_attribute_is_told_so(given, lacks):
 
     with pytest.raises(so.InputError, match=f"^Interval has no {lacks}: give it self.{lacks} = "):
         so.SweepingProcess(1.0, None, Interval(), 0.0).check([0.0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_bounds_the_support_of_an_intersection_is_near_and_not_below_its_program(seed):
+    random = np.random.default_rng(seed)
+    hull = so.Polytope(random.normal(size=(9, 3)))
+    for C in (hull & so.Ball(np.zeros(3), 1.2), so.Ball(np.zeros(3), 1.0) & so.Box(-SIDES, SIDES)):
+        v = 2 * random.normal(size=3)
+        w = C.project(v)
+        p = v - w + 1e-3 * random.normal(size=(1, 3, 3))
+        bounds = C.supports_along(p, np.stack([w, w])[None])[0]
+        excess = (bounds - [C.support(x) for x in p[0]]) / np.linalg.norm(p[0], axis=1)
+        assert excess.min() > -1e-8  # as the cone programs are solved
+        assert excess.max() < 1e-3

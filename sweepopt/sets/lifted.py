@@ -53,8 +53,7 @@ TENSION_EXACT = 1e6
 
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
 FAR = 2.0**200
-AHEAD = 1e3  # times its size a set is looked at from
-HALVES = np.array([0.0, 0.5, 1.0])
+AHEAD = 1e3  # times its size: from there a point of C & D is sought that a direction is normal at
 
 
 class Lifted(ConvexSet):
@@ -229,12 +228,13 @@ class Lifted(ConvexSet):
         """Rows are points of curves: each projection starts from the one before."""
         if self._blocks is not None:
             return self._blocks.project_rows(rows)
+        if not self.certifiable:
+            return super().project_rows(rows)
         start, points = None, []
         for v in rows:
-            near = self._projection(v, start) if self.certifiable else None
-            exact = near is not None and near.exact
-            start = near.start if near is not None and exact else None
-            points.append(near.w if near is not None and exact else self.project(v))
+            near = self._projection(v, start)
+            start = near.start if near.exact else None
+            points.append(near.w if near.exact else self.project(v))
         return np.array(points)
 
     def supports_along(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -246,15 +246,14 @@ class Lifted(ConvexSet):
         size = self.magnitude() if self.lifted.F.shape[0] else math.inf
         if not math.isfinite(size):
             return super().supports_along(p, w)
-        begin = basis(w.shape[1] - 1, HALVES) @ w
-        lengths = np.linalg.norm(p, axis=2, keepdims=True)
-        t = np.divide(AHEAD * size, lengths, out=np.zeros_like(lengths), where=lengths > 0)
-        far = self.project_rows((begin + t * p).reshape(-1, self.dim)).reshape(p.shape)
+        begin = basis(w.shape[1] - 1, np.array([0.0, 0.5, 1.0])) @ w
+        lengths = np.linalg.norm(p, axis=2)
+        t = AHEAD * size / np.where(lengths > 0, lengths, 1.0)
+        far = self.project_rows((begin + t[:, :, None] * p).reshape(-1, self.dim)).reshape(p.shape)
         way = far - begin
         excess = np.linalg.norm(way, axis=2) * size - (way * far).sum(axis=2)
-        rounding = 10 * ROUNDING * AHEAD * size * lengths[:, :, 0]
-        excess = np.divide(excess, t[:, :, 0], out=np.zeros_like(excess), where=t[:, :, 0] > 0)
-        return np.asarray((p * far).sum(axis=2) + excess + rounding)
+        rounding = 10 * ROUNDING * AHEAD * size * lengths
+        return np.asarray((p * far).sum(axis=2) + excess / t + rounding)
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         return self._nearest(v).p
