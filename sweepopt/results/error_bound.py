@@ -63,7 +63,7 @@ bodies of uneven viscosity."""
 ITERATED = 0.3
 """Of it, where projections on C iterate: a second run has no cheaper steps then. Bounds of images
 of boxes take 5 to 10 times the run and are 1.5 to 4 times the error (with all of the work 110 for
-1.1 times), those of sums and intersections of curved sets 15 to 36, 1.4 to 3.3 times the error of
+1.1 times), those of sums and intersections of curved sets 12 to 36, 1.4 to 3.3 times the error of
 implicit Euler and 7 to 17 times that of sdirk2 (122 for 2.4 times)."""
 
 

@@ -53,7 +53,7 @@ TENSION_EXACT = 1e6
 
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
 FAR = 2.0**200
-AHEAD = 1e3  # times its size: from there a point of C & D is sought that a direction is normal at
+AHEAD = 1e3  # times the size of C & D: how far along p the point is that is projected
 
 
 class Lifted(ConvexSet):
@@ -192,8 +192,15 @@ class Lifted(ConvexSet):
         rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
         return bool(p @ way > distance * np.linalg.norm(p) + rounding)
 
+    def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
+        """That of one of the sets that C is made of, if it is C's too."""
+        return None
+
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         """The projection of v and its normal, exact to rounding; None if they are not found."""
+        pair = self._pair_of_one(v)
+        if pair is not None:
+            return pair
         near = self.near(v) if self.certifiable else None
         if near is None or not near.exact:
             return None
@@ -221,8 +228,10 @@ class Lifted(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         v = vector("w", w, self.dim)
-        near = self.near(v) if self.certifiable and self._blocks is None else None
-        return near.w.copy() if near is not None and near.exact else self._nearest(v).w
+        if not self.certifiable or self._blocks is not None or self._pair_of_one(v) is not None:
+            return self._nearest(v).w
+        near = self.near(v)
+        return near.w.copy() if near.exact else self._nearest(v).w
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """Rows are points of curves: each projection starts from the one before."""
@@ -232,6 +241,10 @@ class Lifted(ConvexSet):
             return super().project_rows(rows)
         start, points = None, []
         for v in rows:
+            pair = self._pair_of_one(v)
+            if pair is not None:
+                points.append(pair.w)
+                continue
             near = self._projection(v, start)
             start = near.start if near.exact else None
             points.append(near.w if near.exact else self.project(v))
@@ -367,14 +380,14 @@ class Intersection(Lifted):
         self.operands = first, second
         super().__init__(Form.common(first.form(), second.form()))
 
-    def _pair(self, v: np.ndarray) -> NormalPair | None:
-        # that of one of the two sets, if its point lies in the other: exact from any v
+    def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
+        # where its point lies in the other set: exact from any v
         if all(C.exact for C in self.operands):
             for part, other in (self.operands, self.operands[::-1]):
                 w = part.project(v)
                 if not other.normal(w).any():
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))
-        return super()._pair(v)
+        return None
 
     def is_beyond(self, w: np.ndarray, distance: float) -> bool:
         """By the points of the two sets, or as of other sets."""
