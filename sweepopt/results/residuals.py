@@ -323,12 +323,18 @@ def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.n
     """
     size = np.broadcast_to(scale, force.shape)
     aim = TO_BERNSTEIN @ np.divide(force, size, out=np.zeros_like(force), where=size > 0)
-    S = model.shapes[0]
-    # a moving scale times a line has degree 5; chords of a polyhedron lose nothing, and where
-    # projections iterate they take most of the time
-    if not model.motion.scale.constant or (S.polyhedral and not S.exact):
-        aim = aim[:, [0, -1]]
-    return model.each(_projections, aim)
+    S, ends = model.shapes[0], aim[:, [0, -1]]
+    if not model.motion.scale.constant:  # a moving scale times a line has degree 5
+        return model.each(_projections, ends)
+    if not S.polyhedral or S.exact or len(model.shapes) > 1:
+        return model.each(_projections, aim)
+    # projections that iterate take most of the time, and chords of a polyhedron lose little; in it
+    # the curve is the force itself
+    line = _projections(S, ends)
+    inside, share = (line == ends).all(axis=(1, 2)), np.linspace(0, 1, aim.shape[1])[:, None]
+    s: np.ndarray = (1 - share) * line[:, :1] + share * line[:, 1:]
+    s[inside] = _projections(S, aim[inside])
+    return s
 
 
 def _projections(S: ConvexSet, curves: np.ndarray) -> np.ndarray:
