@@ -68,9 +68,8 @@ def _checked(function: Any, owner: Any) -> Any:
             except TypeError as error:
                 all_names = ", ".join(known)
                 by_name = ", ".join(known if "missing" in str(error) else only) or all_names
-                fault = (
-                    f"{name}: {error}; {f'give by name {by_name}' if known else 'it takes none'}"
-                )
+                remedy = f"give by name {by_name}" if known else "it takes none"
+                fault = f"{name}: {error}; {remedy}"
                 for unknown in (key for key in named if key not in known):
                     hint = meant.get(unknown) or suggestion(unknown, known)
                     fault = f"{name} has no argument {unknown}{hint or f'; there are: {all_names}'}"

@@ -18,6 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sweepopt import __version__
 from sweepopt.display import as_lines
 from sweepopt.driver import planned, run_over
 from sweepopt.errors import (
@@ -78,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="sweepopt", description="Quasistatic evolution with friction, with certificates."
     )
+    parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     listing = commands.add_parser("list", help="list the scenes that come with the library")
