@@ -1,8 +1,9 @@
 """What README.md and MATH.md say, and the test or the study that shows it.
 
 claims.toml has words of each claim as they stand in the document, and what shows it: names of tests
-(of laws in laws.py) or a file that prints it, or a list of calls that data/refused.txt has. A claim that is reworded, a test that is renamed and
-a point of a list or row of a table that nothing shows make a test fail here.
+(of laws in laws.py), a file that prints it, or a list of tests and of calls that data/refused.txt
+has. A claim that is reworded, a test or call that is gone and a point of a list or row of a table
+that nothing shows make a test fail here.
 """
 
 import ast
