@@ -68,7 +68,8 @@ def _checked(function: Any, owner: Any) -> Any:
             except TypeError as error:
                 all_names = ", ".join(known)
                 by_name = ", ".join(known if "missing" in str(error) else only) or all_names
-                fault = f"{name}: {error}; give by name {by_name}"
+                remedy = f"give by name {by_name}" if known else "it takes none"
+                fault = f"{name}: {error}; {remedy}"
                 for unknown in (key for key in named if key not in known):
                     hint = meant.get(unknown) or suggestion(unknown, known)
                     fault = f"{name} has no argument {unknown}{hint or f'; there are: {all_names}'}"
@@ -173,6 +174,17 @@ def number(
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
     if strict and minimum == 0:
         divisor(name, result)
+    return result
+
+
+def tolerance(name: str, value: Any) -> float:
+    """A positive number below 1, which is relative to the size of a velocity."""
+    result = number(name, value, minimum=0.0, strict=True)
+    if result >= 1:
+        raise InputError(
+            f"{name} must be < 1, got {result:g}: it is relative, and from 1 on no motion passes "
+            "for any; give 1e-6 for example"
+        )
     return result
 
 

@@ -18,7 +18,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sweepopt import __version__
 from sweepopt.display import as_lines
+from sweepopt.driver import planned, run_over
 from sweepopt.errors import (
     Status,
     SweepoptError,
@@ -26,9 +28,9 @@ from sweepopt.errors import (
     UnstableStepError,
     brought_by,
 )
-from sweepopt.integrate import SolveOptions, schemes, time_grid
+from sweepopt.integrate import SolveOptions, schemes
 from sweepopt.io import find_scene, list_scenes, read_toml
-from sweepopt.velocity import solvers
+from sweepopt.velocity import Plan, solvers
 
 if TYPE_CHECKING:
     from sweepopt.fem import Scene
@@ -77,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="sweepopt", description="Quasistatic evolution with friction, with certificates."
     )
+    parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     listing = commands.add_parser("list", help="list the scenes that come with the library")
@@ -180,13 +183,17 @@ def _run(options: argparse.Namespace) -> int:
         writer_of(Path(drawn[-1]))
     folder = options.out or Path("results") / path.stem
     folder.mkdir(parents=True, exist_ok=True)
-    _announce(scene)
+    process, started = scene.process, clock.perf_counter()
+    solving = SolveOptions(
+        *(scene.t_end, scene.steps, scene.scheme, scene.solver, scene.tol), on_failure="stop"
+    )
+    grid = planned(process, solving)
+    _announce(scene, grid.plan)
 
     text = path.read_text(encoding="utf-8")
     text += "".join(f"\n# changed: {change}" for change in scene.changes)
-    started, moved = clock.perf_counter(), False
-    solution = scene.solve(progress=not options.no_progress, on_failure="stop")
-    seconds = clock.perf_counter() - started
+    solution = run_over(process, solving, grid, progress=not options.no_progress)
+    seconds, moved = clock.perf_counter() - started, False
     if len(solution.steps):
         report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
@@ -203,15 +210,8 @@ def _run(options: argparse.Namespace) -> int:
     return DONE if solution.success and not moved else INCOMPLETE
 
 
-def _announce(scene: Scene) -> None:
+def _announce(scene: Scene, plan: Plan) -> None:
     """Print what will be simulated and what will not."""
-    process = scene.process
-    options = SolveOptions(
-        scene.t_end, scene.steps, scheme=scene.scheme, solver=scene.solver, tol=scene.tol
-    )
-    with warnings.catch_warnings():  # the run says them
-        warnings.simplefilter("ignore", SweepoptWarning)
-        plan = options.plan(process, options.tableau(process), *time_grid(scene.t_end, scene.steps))
     if scene.title:
         print(scene.title)
     for change in scene.changes:

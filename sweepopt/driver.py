@@ -305,11 +305,11 @@ def _adapt(
     options = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
     run = _warning_once(_run)
 
-    def run_over(times: np.ndarray, tol: float) -> Solution:
+    def run_within(times: np.ndarray, tol: float) -> Solution:
         one = replace(options, steps=times, save=None, tol=min(tol, options.tol))
         return run(process, one, progress=progress)
 
-    sol, cause = adapt(run_over, process, options.steps, times)
+    sol, cause = adapt(run_within, process, options.steps, times)
     if sol.success and not (options.save is None and callback is None):
         asked = replace(options, steps=sol.t, tol=sol.plan.tol)
         sol = replace(run(process, asked, callback, progress), passes=sol.passes)
@@ -343,18 +343,18 @@ def _run(
     stored: StoredRun | None = None,
 ) -> Solution:
     """Check what remains to be checked, and run."""
-    grid = _grid(process, options)
+    grid = planned(process, options)
     with checkpoint_writer(checkpoint, process, grid, options, stored) as writer:
-        return _move(process, options, grid, callback, progress, writer)
+        return run_over(process, options, grid, callback, progress, writer)
 
 
-def _move(
+def run_over(
     process: SweepingProcess,
     options: SolveOptions,
     grid: Grid,
-    callback: Callback | None,
-    progress: bool,
-    writer: CheckpointWriter | None,
+    callback: Callback | None = None,
+    progress: bool = False,
+    writer: CheckpointWriter | None = None,
 ) -> Solution:
     """Move u along the grid, and make a solution of the run."""
     recorded = writer.recorded if writer else []
@@ -392,7 +392,7 @@ def _move(
     return solution
 
 
-def _grid(process: SweepingProcess, options: SolveOptions) -> Grid:
+def planned(process: SweepingProcess, options: SolveOptions) -> Grid:
     """The grid and its plan; C(t) is checked at all times that are asked for."""
     times, mus = time_grid(options.t_end, options.steps)
     plan = options.plan(process, options.tableau(process), times, mus)

@@ -20,7 +20,7 @@ from processes import python
 
 import sweepopt as so
 from sweepopt import cli, plot
-from sweepopt.fem import Scene
+from sweepopt.driver import run_over
 from sweepopt.io import list_scenes
 
 SCENE = """
@@ -107,7 +107,7 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
 
 @pytest.mark.usefixtures("scene")
 def test_the_plan_is_printed_before_the_run(monkeypatch, capsys):
-    monkeypatch.setattr("sweepopt.fem.Scene.solve", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("sweepopt.cli.run_over", Mock(side_effect=KeyboardInterrupt))
     assert run() == 130
     shown = capsys.readouterr().out
     assert "0 to 6 s in 30 steps" in shown
@@ -219,21 +219,21 @@ def test_a_warning_of_a_run_is_printed_once(monkeypatch, capsys):
         warnings.warn("C(t) jumps by an infinite distance", so.VariationWarning, stacklevel=1)
         return check(self, times)
 
-    monkeypatch.setattr(so.SweepingProcess, "check", jumping)
+    calls = Mock(side_effect=jumping)
+    monkeypatch.setattr(so.SweepingProcess, "check", lambda self, times: calls(self, times))
     assert run("--scheme", "implicit-euler", "--steps", "7") == 0
     assert capsys.readouterr().err.count("infinite distance") == 1
+    assert calls.call_count == 1
 
 
 @pytest.mark.usefixtures("scene")
 def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(monkeypatch, capsys):
-    solve = Scene.solve
-
-    def stopped(self, **changes):
-        assert changes["on_failure"] == "stop"
-        solution = solve(self, callback=lambda info: info.step == 3, **changes)
+    def stopped(process, options, grid, **others):
+        assert options.on_failure == "stop"
+        solution = run_over(process, options, grid, lambda info: info.step == 3, **others)
         return replace(solution, status=so.Status.INEXACT)
 
-    monkeypatch.setattr(Scene, "solve", stopped)
+    monkeypatch.setattr("sweepopt.cli.run_over", stopped)
     assert run() == 1
     assert "missed tol" in capsys.readouterr().out
     summary = summary_in(Path("out"))

@@ -49,6 +49,7 @@ def matrix_of(body, value):
     return so.fem.Contribution(A=sp.diags_array(np.full(body.dim, value)))
 
 
+HELD = '{ sizes = [1.0, 1.0], cells = [2, 2] }\nclamped = "left"'
 VISCOUS = "[effects.viscosity]\neta = 1.0\n"
 LAPLACIAN = sp.diags_array([[-1.0] * 5, [1.0, 2, 2, 2, 2, 1], [-1.0] * 5], offsets=[-1, 0, 1])
 

@@ -432,3 +432,18 @@ def test_a_scene_and_its_run_go_through_pickle():
     scene = so.scene("square")
     same, sol = pickle.loads(pickle.dumps((scene, scene.solve(steps=4))))
     np.testing.assert_array_equal(same.displacement(sol), scene.displacement(scene.solve(steps=4)))
+
+
+def test_a_file_that_another_program_wrote_again_is_read(tmp_path):
+    file, again = tmp_path / "run.nc", tmp_path / "again.nc"
+    whole = so.solve(slider(), t_end=4.0, steps=50, save=file)
+    with xr.open_dataset(file, engine="h5netcdf") as dataset:
+        dataset.load().assign_attrs(note="mine").to_netcdf(again, engine="h5netcdf")
+    loaded = so.Solution.load(again, slider())
+    assert np.array_equal(loaded.u, whole.u)
+    assert list(loaded.stats["solver"]) == list(whole.stats["solver"])
+    content = again.read_bytes()
+    for one in (content[:-1], content[: len(content) // 2]):
+        again.write_bytes(one)
+        with pytest.raises(so.CheckpointError, match=r"again.nc is damaged"):
+            so.Solution.load(again)

@@ -281,8 +281,11 @@ class Coefficient(NamedTuple):
                 f"{self.name} must turn points of shape (d, ...) into numbers of shape (...); "
                 f"{error}"
             ) from error
+        limits = self
+        if isinstance(datum, str):  # one that divides by 0 does not mean inf
+            limits = self._replace(name=f"{self.name}, {shown(datum)},", finite=True)
         for extreme in (values.min(), values.max()):
-            self.check(extreme)
+            limits.check(extreme)
         return values
 
     def _fill(

@@ -20,7 +20,6 @@ import meshio
 import numpy as np
 
 from sweepopt import io
-from sweepopt.errors import InputError
 from sweepopt.fem.contact import Slip, signed_lengths, slip_of
 from sweepopt.results import netcdf_bytes, software, solver_name
 
@@ -80,9 +79,7 @@ class Report:
     seconds: float = 0.0
 
     def __post_init__(self) -> None:
-        given, dim = self.solution.process.dim, self.scene.problem.dim
-        if given != dim:
-            raise InputError(f"solution has dim {given}, the scene {dim}; give a run of this scene")
+        self.scene.require_run(self.solution)
 
     @cached_property
     def slip(self) -> Slip | None:

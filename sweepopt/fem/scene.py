@@ -5,14 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import at_path, choice, count, listed, matrix, number, symmetric, vector
+from sweepopt.checks import (
+    at_path,
+    choice,
+    count,
+    listed,
+    matrix,
+    number,
+    symmetric,
+    tolerance,
+    vector,
+)
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, called, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
@@ -34,11 +44,9 @@ from sweepopt.integrate import schemes
 from sweepopt.io import as_path
 from sweepopt.loads import Constant, History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
+from sweepopt.results import Solution
 from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
 from sweepopt.velocity import solvers
-
-if TYPE_CHECKING:
-    from sweepopt.results import Solution
 
 UNITS = ("dimensionless", "SI")
 PICTURES = (
@@ -135,6 +143,14 @@ class Scene(Displayed):
         """f(t), shape (dim,)."""
         return np.zeros(self.problem.dim) if self.force is None else np.asarray(self.force(t))
 
+    def require_run(self, solution: Any) -> None:
+        """Refuse what is no run of this scene."""
+        if not isinstance(solution, Solution):
+            raise InputError(f"solution must be what scene.solve() returns, got {shown(solution)}")
+        given, dim = solution.process.dim, self.problem.dim
+        if given != dim:
+            raise InputError(f"solution has dim {given}, the scene {dim}; give a run of this scene")
+
     def displacement(self, solution: Solution, t: ArrayLike | None = None) -> Array:
         """u at all nodes, shape (k, N), or (k, N, components) of vectors.
 
@@ -144,12 +160,14 @@ class Scene(Displayed):
         t : array_like, shape (k,), optional
             Times of the run; those of the solution by default.
         """
+        self.require_run(solution)
         times = solution.t if t is None else np.atleast_1d(t)
         u = solution.u if t is None else solution(times)
         return self._full(u, lambda history: history(times))
 
     def velocity(self, solution: Solution) -> Array:
         """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
+        self.require_run(solution)
         mu = np.diff(solution.t)
         return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
 
@@ -160,6 +178,7 @@ class Scene(Displayed):
         branches, at times t of the run, by default those of the solution. None where strains do not
         tell it: with a yield stress or a tensor, and in plane stress with an eigenstrain.
         """
+        self.require_run(solution)
         return stress_of(self, solution, solution.t if t is None else np.atleast_1d(t))
 
     def plastic_strain(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
@@ -167,6 +186,7 @@ class Scene(Displayed):
 
         At times t of the run, by default those of the solution.
         """
+        self.require_run(solution)
         return plastic_strain_of(self, solution.u if t is None else solution(np.atleast_1d(t)))
 
     def _full(self, u: Any, values: Callable[[History], Any]) -> Array:
@@ -356,7 +376,7 @@ def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dic
     """Arguments of `sweepopt.solve`; a scheme or a solver that is not known is refused."""
     schemes.choose(scheme, coercive=True)
     solvers.choose(solver, Point([0.0]))
-    return {"scheme": scheme, "solver": solver, "tol": number("tol", tol, 0.0, strict=True)}
+    return {"scheme": scheme, "solver": solver, "tol": tolerance("tol", tol)}
 
 
 def build(
@@ -429,9 +449,9 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
     of_body = sum(M[: space.dim, : space.dim] for M in matrices)
     if (point := space.loose_point(of_body)) is not None:
         raise InputError(
-            f"clamped: nothing holds the piece of the body with the point {point}, or less than "
-            "rounding; clamp part of every piece, hold components, or give it a foundation or a "
-            "dashpot (a must be coercive)"
+            f"clamped (domain.clamped of a file): nothing holds the piece of the body with the "
+            f"point {point}, or less than rounding; clamp part of every piece, hold components, or "
+            "give it a foundation or a dashpot (a must be coercive)"
         )
 
 

@@ -361,6 +361,8 @@ def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
     ['effects.friction']
     """
     kept = list(labels)
+    if not isinstance(without, (str, list, tuple)):
+        raise InputError(f"without must be a list of names of effects, got {shown(without)}")
     for name in [without] if isinstance(without, str) else without:
         wanted = f"effects.{str(name).removeprefix('effects.')}"
         gone = [

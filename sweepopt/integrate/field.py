@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import instant, number, vector
+from sweepopt.checks import instant, tolerance, vector
 from sweepopt.errors import InputError, VelocityError
 from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
@@ -70,7 +70,7 @@ def velocity_field(
     array([3.06250001])
     """
     process = sweeping(process)
-    tol = number("tol", tol, minimum=0.0, strict=True)
+    tol = tolerance("tol", tol)
     if not process.coercive:
         raise InputError(
             "velocity_field needs A coercive: where it is singular the velocity is no function of "

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import choice, number
+from sweepopt.checks import choice, number, tolerance
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.grid import (
@@ -84,9 +84,9 @@ class SolveOptions:
         choice("path", self.path, PATHS)
         choice("on_failure", self.on_failure, ("raise", "stop"))
         choice("on_unstable", self.on_unstable, ("raise", "warn", "ignore"))
-        for name in ("tol", "memory"):
-            value = number(name, getattr(self, name), minimum=0.0, strict=True)
-            object.__setattr__(self, name, value)
+        memory = number("memory", self.memory, minimum=0.0, strict=True)
+        object.__setattr__(self, "memory", memory)
+        object.__setattr__(self, "tol", tolerance("tol", self.tol))
         if isinstance(self.scheme, Adaptive):
             raise InputError(f"scheme {shown(self.scheme)}: Adaptive goes into steps")
         if self.steps is Adaptive:

@@ -215,17 +215,22 @@ def _end_with_checksum(file: BytesIO | FileIO) -> None:
 
 
 def _check(path: Path) -> None:
-    """Raise DamagedFileError unless a file ends with the checksum of what is in it."""
+    """Raise DamagedFileError if a file is not what was written, before HDF5 reads a byte of it.
+
+    A file that another program wrote has no checksum, and nothing behind the end that HDF5 knows.
+    """
     content = np.memmap(path, np.uint8, "r") if path.stat().st_size else np.zeros(0, np.uint8)
     size = hashlib.sha256().digest_size
     mark, end = len(MARK) + size, content[-size:].tobytes()
-    if content[-mark:-size].tobytes() != MARK:
-        raise DamagedFileError(
-            f"{path} has no checksum at its end: it is damaged, was changed, or is no file of "
-            "sol.save or save=; xarray.open_dataset reads any NetCDF file, unchecked"
-        )
-    if hashlib.sha256(content[:-mark].data).digest() != end:
-        raise DamagedFileError(f"{path} is damaged: its checksum is not that of what is in it")
+    if content[-mark:-size].tobytes() == MARK:
+        if hashlib.sha256(content[:-mark].data).digest() != end:
+            raise DamagedFileError(f"{path} is damaged: its checksum is not that of what is in it")
+        return
+    head = content[:48].tobytes()
+    if head[:8] != b"\x89HDF\r\n\x1a\n":
+        raise DamagedFileError(f"{path} is damaged or no NetCDF file")
+    if head[8] >= 2 and int.from_bytes(head[28:36], "little") != content.size:
+        raise DamagedFileError(f"{path} is damaged: bytes are missing or too many at its end")
 
 
 def _dump(dataset: xr.Dataset, file: Any) -> None:
@@ -248,7 +253,8 @@ def read_run(path: str | PathLike[str]) -> xr.Dataset:
     InputError
         If there is no such file, or it is none of a run.
     DamagedFileError
-        If it is not as it was written, by its checksum.
+        If it is not as it was written, by its checksum; or by what HDF5 sees, where another program
+        wrote it again and left the checksum out.
     """
     netcdf_package()
     import xarray
@@ -257,8 +263,11 @@ def read_run(path: str | PathLike[str]) -> xr.Dataset:
     if not file_of_run.is_file():
         raise InputError(f"path: there is no file {path}")
     _check(file_of_run)
-    with xarray.open_dataset(file_of_run, engine="h5netcdf") as file:
-        run = file.load()
+    try:
+        with xarray.open_dataset(file_of_run, engine="h5netcdf") as file:
+            run = file.load()
+    except Exception as error:  # h5py has no list of what it raises
+        raise DamagedFileError(f"{path} is damaged or no NetCDF file ({error})") from error
     if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
         raise InputError(f"{path} is no file of sol.save or save=: it has no u, status and scheme")
     return run
@@ -277,6 +286,7 @@ def last_state(path: Path, *names: str) -> dict[str, Any]:
     with brought_by("fem"):
         import xarray
     try:
+        _check(path)
         with xarray.open_dataset(path, engine="h5netcdf") as run:
             last, there = run.isel(time=-1, missing_dims="ignore"), ", ".join(map(str, run))
             kept: dict[str, Any] = {name: last[name].values for name in names if name in last}

@@ -420,8 +420,7 @@ class Solution(Displayed):
                 reason = self._bound.reason
                 warn(f"this bound is sampled, not guaranteed: {reason}", BoundWarning)
             return self._bound
-        if not callable(variation):
-            raise InputError(f"variation must be a function of time, got {shown(variation)}")
+        checks.takes("variation", variation, "t")
         return self._bound_with(variation)
 
     @cached_property

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import dimension, instant, number, symmetric, vector
+from sweepopt.checks import dimension, instant, number, symmetric, takes, vector
 from sweepopt.errors import InputError, called, shown
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, Separable, VectorTable
@@ -64,6 +64,8 @@ class MovingSet(Operators):
     ) -> None:
         if not callable(at):
             raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
+        if dim is None:  # else it is made in every step
+            takes("at", at, "t")
         if not isinstance(histories, (list, tuple)) or not all(map(callable, histories)):
             raise InputError(f"histories must be a list of functions of time, got {histories!r}")
         self.histories = tuple(histories)
@@ -323,8 +325,7 @@ class StateDependent(MovingSet):
         lipschitz: Any,
         histories: Sequence[Callable[[float], Any]] = (),
     ) -> None:
-        if not callable(at):
-            raise InputError(f"StateDependent needs (t, u) -> set; got {type(at).__name__}")
+        takes("at", at, "t", "u")
         self._of_state, self.lipschitz = at, symmetric("lipschitz", lipschitz)
         if abs(self.lipschitz).max() and not is_semidefinite(self.lipschitz):
             raise InputError("lipschitz must be positive semidefinite; it has an eigenvalue < 0")

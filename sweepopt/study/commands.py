@@ -42,7 +42,7 @@ def study_command(options: argparse.Namespace) -> None:
         executor: Any = nullcontext()
         if options.scheduler is not None:
             executor = dask_executor(options.scheduler)
-        elif options.workers:
+        elif options.workers is not None:
             executor = processes(options.workers)
         with executor as pool:
             table = run(study, folder, executor=pool, progress=_say)
