@@ -81,7 +81,7 @@ class ReturnMapping:
         """
         W, few, rest = self._weights, self._few, self._rest
         base, start = (0 * residual, self._v) if z is None else (z, 0 * self._v)
-        share = 0.5 if z is None else 0.05  # a base missed the tolerance by rounding: further
+        share = 0.9 if z is None else 0.05  # a base missed the tolerance by rounding: further
         f, p_base = residual[rest], base[few]
         r_base = residual[few] - W * p_base
 
