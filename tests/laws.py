@@ -669,7 +669,7 @@ def scaling_scales(entry, s, rng):
     for r in (1e-9, ratio, 1e9, -1.0, -2.0):
         same = [r * s.C]
         if r == ratio:
-            same += [s.C * r, np.float64(r) * s.C]
+            same += [s.C * r, np.float64(r) * s.C, s.C / (1 / r)]
         if r == -1:
             same += [-s.C, 0.0 - s.C if s.C.dim == 1 else -s.C]
         for C in same:

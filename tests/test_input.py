@@ -70,7 +70,7 @@ def test_an_asymmetry_of_rounding_is_taken_out():
 
 
 def test_what_a_callback_returns_is_a_yes_or_a_no():
-    for wrong in (np.zeros(2), np.ones(3)):
+    for wrong in (np.zeros(2), np.ones(3), "stop"):
         with pytest.raises(so.InputError, match="callback must return True to stop"):
             run(callback=lambda _, wrong=wrong: wrong)
     for right in (None, False, np.False_, 0, np.zeros(1)):

@@ -196,6 +196,8 @@ def observer(
         for watcher in watchers:
             answer = watcher(step)
             try:
+                if isinstance(answer, str):
+                    raise TypeError
                 if answer:
                     return True
             except (TypeError, ValueError) as error:

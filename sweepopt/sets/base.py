@@ -29,7 +29,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
-from sweepopt.display import Brief, svg
+from sweepopt.display import Brief, brief, svg
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
 from sweepopt.sets.curves import products
@@ -186,6 +186,10 @@ class Form(NamedTuple):
     F: sp.csr_array
     parts: tuple[ConvexSet, ...]
 
+    def __repr__(self) -> str:
+        matrix = self.E.toarray().tolist() if self.E.size <= 4 else brief(self.E)
+        return f"{matrix} of {', '.join(map(brief, self.parts))}"
+
     @classmethod
     def alone(cls, part: ConvexSet) -> Form:
         """A set as its own part."""
@@ -272,6 +276,12 @@ class Operators(Brief):
 
     def __rmul__(self, factor: float) -> Any:
         return self.algebra.scale(factor, self)
+
+    def __truediv__(self, divisor: float) -> Any:
+        r = number("C / r: r", divisor)
+        if not r:
+            raise InputError("C / r: r must not be 0")
+        return self.algebra.scale(1 / r, self)
 
     def __neg__(self) -> Any:
         return self.algebra.scale(-1.0, self)

@@ -61,13 +61,13 @@ class Lifted(ConvexSet):
 
     exact = False
 
-    def __init__(self, form: Form) -> None:
-        unit = binary(float(np.abs(form.F.data).max(initial=0.0)))
+    def __init__(self, lifted: Form) -> None:
+        unit = binary(float(np.abs(lifted.F.data).max(initial=0.0)))
         if unit != 1:  # programs see rows of numbers near 1
-            form = form._replace(F=form.F / unit)
-        self.lifted, self.dim, self.part = form, form.E.shape[0], product_of(form.parts)
+            lifted = lifted._replace(F=lifted.F / unit)
+        self.lifted, self.dim, self.part = lifted, lifted.E.shape[0], product_of(lifted.parts)
         self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
-        self._unit = binary(float(np.abs(form.E.data).max(initial=0.0)))
+        self._unit = binary(float(np.abs(lifted.E.data).max(initial=0.0)))
 
     def form(self) -> Form:
         return self.lifted

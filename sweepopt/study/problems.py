@@ -190,12 +190,11 @@ def open_source(source: Source) -> tuple[SweepingProcess, float, Any]:
         return small.process(), small.t_end, None
     from sweepopt.fem import read_scene
 
-    data = read_toml(path)
-    if source.refinements or source.element:
-        domain = data["domain"]
-        domain["refinements"] = domain.get("refinements", 0) + source.refinements
-        domain["element"] = source.element or domain.get("element", "P1")
-    scene = read_scene(data, folder=path.parent)
+    changes: dict[str, Any] = {"domain.element": source.element} if source.element else {}
+    if source.refinements:
+        own = read_toml(path).get("domain", {}).get("refinements", 0)
+        changes["domain.refinements"] = own + source.refinements
+    scene = read_scene(path, changes=changes)
     assert scene.t_end is not None  # a file has it
     return scene.problem.as_sweeping(), scene.t_end, scene.discretisation
 
