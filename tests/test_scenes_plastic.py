@@ -5,10 +5,9 @@ from dataclasses import replace
 import meshio
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from sweepopt.errors import InputError
-from sweepopt.fem import read_scene
+from sweepopt.fem import Contribution, read_scene
 from sweepopt.fem.output import Report, dataset_of, write_vtu
 
 
@@ -103,12 +102,29 @@ def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path):
     assert meshio.read(files[-1]).cell_data["plastic_strain"][0] == pytest.approx(strain[-1])
     for picture in scene.pictures:
         assert scene.plot(sol, picture).axes
-    # rows of a user's effect may have cells too
-    (own,) = scene.yields
-    E = sp.eye_array(2, sol.u.shape[1], format="csr")
-    other = replace(own, rows=replace(own.rows, E=E, cells=np.zeros(2, int)))
-    both = replace(scene, yields=(other, own))
-    np.testing.assert_array_equal(both.plastic_strain(sol), strain)
+
+
+def test_an_effect_of_ones_own_adds_its_part_to_the_stress_or_leaves_it_open():
+    class Own:
+        def __init__(self, stress):
+            self.stress = lambda body: stress
+
+        def contribute(self, body):
+            return Contribution()
+
+    scene = read_scene("plate")
+    sol = scene.solve(t_end=1.0, steps=4)
+
+    def stress_with(stress):
+        effects, internal = (*scene.effects, Own(stress)), (*scene.internal, slice(0, 0))
+        return replace(scene, effects=effects, internal=internal).stress(sol)
+
+    shear = np.array([0.0, 0.0, 3e8])  # of 1 / sqrt(2) times the engineering strain
+    rest, pulled = stress_with(lambda motion: shear), scene.stress(sol)
+    assert rest[0] == pytest.approx(np.sqrt(1.5) * 3e8)  # at rest nothing else is there
+    assert pulled[0] == pytest.approx(0.0)
+    assert not np.allclose(rest, pulled)
+    assert stress_with(None) is None
 
 
 @pytest.mark.parametrize("hardening", [{}, isotropic(1e10)], ids=["kinematic", "isotropic"])

@@ -49,15 +49,12 @@ class Rows(Brief):
         The length, area or volume that each block stands for in the integral.
     where : {"trace", "nodes", "gradient", "internal"}
         What E u is: unknowns on a boundary, unknowns inside, derivatives, internal unknowns.
-    cells : ndarray of int, shape (m,), or None
-        In which cell each block of a plastic strain is.
     """
 
     E: sp.csr_array
     block: int
     weight: Array
     where: str
-    cells: Indices | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -76,6 +76,23 @@ class Contribution(Brief):
     lift: tuple[History, Array] | None = None
 
 
+class Motion(NamedTuple):
+    """Displacements and velocities at all nodes, and an effect's internal unknowns, at k times.
+
+    Attributes
+    ----------
+    u, rate : ndarray, shape (k, N), or (k, N, components) of vectors
+    internal : ndarray, shape (k, m)
+    """
+
+    u: Array
+    rate: Array
+    internal: Array
+
+
+Stress = Callable[[Motion], Array]
+
+
 class Effect(Protocol):
     """What a scene asks of an effect, also of one of your own.
 
@@ -83,6 +100,9 @@ class Effect(Protocol):
     of scikit-fem, and ``body.restrict`` takes a matrix or a vector of all degrees of freedom to the
     unknowns. A `Contribution` may hold ``A=`` (of u'), ``B=`` (of u), ``loads=[(history, f)]``, and
     ``yields=``, rows of the velocity whose forces are bounded, as in the example.
+
+    One that makes a stress may have a method ``stress(body)`` beside: a function of the `Motion`,
+    the deviator at the points of strains, shape (k, cells, points, s); None if it is not known.
 
     Examples
     --------
@@ -119,6 +139,16 @@ def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
     """The sum of the effects' matrices."""
     terms = [M for part in parts if (M := getattr(part, name)) is not None]
     return sum(terms[1:], terms[0]) if terms else None
+
+
+def shear_stress(body: Discretisation, law: Any, u: Array) -> Array:
+    """2 mu dev e(u) at the points of strains, shape (k, cells, points, s)."""
+    place = body.place("stress", (BODY,), strains=True)
+    lam, mu = law.moduli(body, place)
+    free = body.with_unknowns(clamped=(), held={}, turned=())
+    rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
+    strain = (rows @ u.reshape(len(u), -1).T).T.reshape(len(u), *place.basis.dx.shape, -1)
+    return np.asarray(2 * mu[..., None] * strain)
 
 
 def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
@@ -209,6 +239,10 @@ class Viscosity(Record):
         place = body.place("eta", (BODY,), strains=True)
         return Contribution(A=_stiffness(body, place, *self.moduli(body, place), self.tensor))
 
+    def stress(self, body: Discretisation) -> Stress | None:
+        """2 eta dev e(u')."""
+        return None if self.eta is None else lambda motion: shear_stress(body, self, motion.rate)
+
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """zeta and eta at the points of a quadrature; eta is None where a tensor is given."""
         eta = None if self.eta is None else place.values(ETA, self.eta)
@@ -262,6 +296,11 @@ class Elasticity(Record):
         place = body.place("kappa", (BODY,), strains=True)
         B = _stiffness(body, place, *self.moduli(body, place), self.tensor)
         return Contribution(B=B if B.count_nonzero() else None)
+
+    def stress(self, body: Discretisation) -> Stress | None:
+        """2 mu dev e(u)."""
+        known = self.tensor is None
+        return (lambda motion: shear_stress(body, self, motion.u)) if known else None
 
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
@@ -655,6 +694,10 @@ class Eigenstrain(Record):
         f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
         return Contribution(loads=[(self.history, body.restrict(f))])
 
+    def stress(self, body: Discretisation) -> Stress | None:
+        """It has no deviator, but for that of the strain across the plane in plane stress."""
+        return None if body.kind == "plane stress" else lambda motion: np.zeros(())
+
 
 @dataclass(frozen=True)
 class YieldStress(Record):
@@ -708,6 +751,10 @@ class YieldStress(Record):
         chosen = Rows(E[np.repeat(keep, block)], block, weight[keep], "gradient")
         g: Any = (lambda t: bound(t)[keep]) if moves else bound(0.0)[keep]
         return Contribution(yields=[Yield(chosen, g)])
+
+    def stress(self, body: Discretisation) -> Stress | None:
+        """Where nothing flows it is open."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -791,9 +838,12 @@ class MaxwellBranch:
         _, *moduli = vars(self).values()
         return Elasticity(*moduli)
 
-    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
-        """Those of the spring."""
-        return self.spring().moduli(body, place)
+    def stress(self, body: Discretisation) -> Stress | None:
+        """That of the spring, whose displacement is u - w."""
+        spring = self.spring().stress(body)
+        return spring and (
+            lambda motion: spring(motion._replace(u=motion.u - body.expand(motion.internal)))
+        )
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Matrices of u and w; none if the moduli are zero everywhere."""

@@ -28,8 +28,16 @@ import skfem
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
-from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record, deviators
-from sweepopt.fem.fields import Array, Coefficient, Datum
+from sweepopt.fem.effects import (
+    Contribution,
+    Effect,
+    Elasticity,
+    Motion,
+    Record,
+    Stress,
+    deviators,
+)
+from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.spaces import BODY, Discretisation, Place
 
 COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
@@ -86,13 +94,11 @@ class Plasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
-        if self.elasticity is None:
-            raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
         place = body.place("on", self.on, strains=True)
         if not isinstance(place.basis, skfem.CellBasis):
             raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place, *self.data))
-        at_points = _moduli(body, place, self.elasticity)
+        at_points = self._moduli(body, place)
         lam, mu = map(np.ravel, at_points)
         _check_hardening(Hk, Hi, eta, mu)
         strains = deviators(body, place, *at_points)
@@ -100,9 +106,6 @@ class Plasticity(Record):
         beside = w.size if body.kind == "plane stress" else 0
         size = strains.shape[0] // w.size
         block = size + bool(Hi.any())
-        cells = np.repeat(
-            np.arange(body.mesh.nelements)[place.basis.tind].ravel(), place.basis.dx.shape[1]
-        )
         total = n + beside + block * w.size
         at = n + beside + np.arange(block * w.size).reshape(w.size, block)
         p, theta = at[:, block - size :].ravel(), np.ones(w.size)
@@ -121,15 +124,55 @@ class Plasticity(Record):
             B=sp.csc_array(sp.diags_array(diagonal) - coupling - coupling.T),
             yields=[
                 Yield(
-                    Rows(
-                        sp.eye_array(total, format="csr")[at.ravel()], block, w, "internal", cells
-                    ),
+                    Rows(sp.eye_array(total, format="csr")[at.ravel()], block, w, "internal"),
                     np.sqrt(2 / 3) * sigma_y * theta,
                     slopes=1 / theta if block > size else None,
                 )
             ],
             internal=total - n,
         )
+
+    def _moduli(self, body: Discretisation, place: Place) -> list[Array]:
+        """lam and mu at points."""
+        if self.elasticity is None:
+            raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
+        lam, mu = self.elasticity.moduli(body, place)
+        if mu is None:
+            raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
+        return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
+
+    def stress(self, body: Discretisation) -> Stress | None:
+        """-2 mu p."""
+
+        def share(motion: Motion) -> Array:
+            cells, place, p, zz = self._strains(body, motion.internal)
+            if zz.size:
+                p[..., 1] -= ZZ * zz
+            stress = np.zeros((len(p), body.mesh.nelements, *p.shape[2:]))
+            stress[:, cells] = -2 * self._moduli(body, place)[1][..., None] * p
+            return stress
+
+        return share
+
+    def plastic_strain(self, body: Discretisation, internal: Array) -> Array:
+        """sqrt(2/3) |p|, its mean in each cell, shape (k, cells)."""
+        cells, place, p, _ = self._strains(body, internal)
+        share = place.basis.dx / place.basis.dx.sum(axis=1, keepdims=True)
+        strain = np.zeros((len(p), body.mesh.nelements))
+        strain[:, cells] = np.sqrt(2 / 3) * (share * np.linalg.norm(p, axis=3)).sum(axis=2)
+        return strain
+
+    def _strains(
+        self, body: Discretisation, internal: Array
+    ) -> tuple[Indices, Place, Array, Array]:
+        """The cells, their points, p of each and, in plane stress, the part of e_zz."""
+        place = body.place("on", self.on, strains=True)
+        shape = len(internal), *place.basis.dx.shape
+        beside = place.basis.dx.size if body.kind == "plane stress" else 0
+        _, _, Hi, _ = self.values_at(place, *self.data)
+        zz = internal[:, :beside].reshape(shape if beside else (0,))
+        p = internal[:, beside:].reshape(*shape, -1)[..., int(Hi.any()) :].copy()
+        return np.arange(body.mesh.nelements)[place.basis.tind].ravel(), place, p, zz
 
 
 def with_elasticity(effects: Iterable[Effect]) -> list[Effect]:
@@ -154,11 +197,3 @@ def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:
         )
     if Hi.any() and Hi.min() <= 0:
         raise InputError("Hi: must be > 0 everywhere or 0; state two effects, on two subdomains")
-
-
-def _moduli(body: Discretisation, place: Place, elasticity: Elasticity) -> list[Array]:
-    """lam and mu at points."""
-    lam, mu = elasticity.moduli(body, place)
-    if mu is None:
-        raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
-    return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
