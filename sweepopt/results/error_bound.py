@@ -58,13 +58,11 @@ FADES = 10
 those of sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5 and 9 times at 0.002."""
 WORK = {"implicit-euler": 11, "sdirk2": 8}
 """Steps of all second runs, at most, for each program of the run. With this a bound takes 5.6
-times the run (median; worst 11; ellipsoids 10 to 23); with 13 and 10 it was 1.25 times closer for
+times the run (median; worst 11); with 13 and 10 it was 1.25 times closer for
 bodies of uneven viscosity."""
-ITERATED = 0.3
-"""Of it, where projections on C iterate: a second run has no cheaper steps then. Bounds of images
-of boxes take 5 to 10 times the run and are 1.5 to 4 times the error (with all of the work 110 for
-1.1 times), those of sums and intersections of curved sets 12 to 36, 1.4 to 3.3 times the error of
-implicit Euler and 7 to 17 times that of sdirk2 (122 for 2.4 times)."""
+COSTLY = 0.3
+"""Of it, where points are projected one by one, or C is curved: with all of the work bounds of
+images of boxes took 110 times the run, with this they take 4 to 12 (22 at A = 0)."""
 
 
 class ErrorBound(float):
@@ -127,10 +125,11 @@ def error_bound(
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
-    work = WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b)
     shape = motion(process.C).shape
-    if shape is not None and not shape.exact:
-        work = math.ceil(ITERATED * work)
+    curved = shape is not None and not shape.sharp_gaps
+    work = WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b)
+    if curved or (shape is not None and not shape.exact):
+        work = math.ceil(COSTLY * work)
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
@@ -138,11 +137,13 @@ def error_bound(
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
-    lower = 0.0
+    largest, lower = _largest_state(process, norms, float(run.t[0]), float(run.t[-1])), 0.0
     while True:
         work -= len(t) - 1
         nodes, slopes = companion(process, plan, velocities, t)
         curves = slopes_of_curves(nodes, slopes)
+        if curved and largest < math.inf:  # the one that is best on most steps of bounded sets
+            curves = curves[:1] if norms.weak else curves[1:2]
         each, reason = residuals(process, norms, nodes, curves, variation)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
@@ -163,8 +164,7 @@ def error_bound(
         more = (growth.A[-1] / goal - 1) * n if goal > 0 else np.inf
         t = _refined(t, growth.shares, math.ceil(np.fmin(more, work - n)))
     ends = norms.A(run.u)
-    most = _largest_state(process, norms, float(run.t[0]), float(run.t[-1]))
-    most += np.maximum(ends[:-1], ends[1:]) + rounding
+    most = largest + np.maximum(ends[:-1], ends[1:]) + rounding
     A, B = np.fmin(A, most), np.fmin(B, most * (1.0 if norms.weak else math.sqrt(norms.Lam)))
     if process.metric.method != "factors":
         reason = reason or "the matrices are too large for factors, which would prove their Lam"

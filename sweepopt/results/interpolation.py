@@ -66,9 +66,10 @@ class Interpolated(NamedTuple):
     slope_error: np.ndarray
 
 
-def smooth_intervals(moving: Motion, t: np.ndarray) -> Intervals:
-    """The steps between the times t, cut at the breakpoints of all histories."""
-    cuts = np.unique(np.concatenate([t, breakpoints(moving.histories, t[0], t[-1])]))
+def smooth_intervals(moving: Motion, t: np.ndarray, parts: int = 1) -> Intervals:
+    """Equal parts of the steps between the times t, cut at the breakpoints of all histories."""
+    equal = np.linspace(t[:-1], t[1:], parts, endpoint=False).ravel()
+    cuts = np.unique(np.concatenate([t, equal, breakpoints(moving.histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 

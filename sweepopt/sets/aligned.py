@@ -174,6 +174,10 @@ class Aligned(ConvexSet):
         every, places = np.arange(self.dim), zip(self._places, each, strict=True)
         return [one._replace(unknowns=every[at][one.unknowns]) for at, of in places for one in of]
 
+    @cached_property
+    def sharp_gaps(self) -> bool:
+        return all(S.sharp_gaps for S in self.parts)
+
     @property
     def nonsmooth_dim(self) -> int:
         return sum(S.nonsmooth_dim for S in self.parts)

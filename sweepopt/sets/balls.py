@@ -58,6 +58,7 @@ class Balls(_InBlocks):
     """
 
     center: np.ndarray | float = 0.0
+    sharp_gaps = True
 
     def __init__(self, radii: Any, dim: int) -> None:
         self.radii = self.offsets = entries("radii", radii)

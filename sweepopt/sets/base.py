@@ -440,6 +440,14 @@ class ConvexSet(Operators, ABC):
         return None
 
     @cached_property
+    def sharp_gaps(self) -> bool:
+        """Whether `gaps_along_curves` finds a curve on the boundary whose gap is next to nothing.
+
+        Beside a chord of a curved boundary the gap is of order two in its length.
+        """
+        return self.polyhedral
+
+    @cached_property
     def block(self) -> int:
         """How many unknowns `derivative` couples at most."""
         return self.dim
