@@ -268,7 +268,7 @@ def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused(so
     stress, mesh = scene.stress(solution), scene.discretisation.mesh
     assert set(values) <= set(stress[1])  # the first panel: the end of the first step
     assert values.size == mesh.boundary_facets().size
-    with pytest.raises(so.InputError, match="pictures: flow needs a section with a yield stress"):
+    with pytest.raises(so.InputError, match="picture: flow needs a section with a yield stress"):
         scene.plot(solution, "flow")
 
 

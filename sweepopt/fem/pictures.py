@@ -50,7 +50,7 @@ def refusal(scene: Scene, name: str) -> str:
         "space_time": ("friction of one component", one),
         "loop": ("a load or a motion that is prescribed", scene.force is not None),
     }
-    what, fits = needs[choice("pictures", name, needs)]
+    what, fits = needs[choice("picture", name, needs)]
     return "" if fits else f"{name} needs {what}"
 
 
@@ -100,7 +100,7 @@ def draw(report: Report, name: str) -> Any:
         If it does not fit the scene.
     """
     if reason := refusal(report.scene, name):
-        raise InputError(f"pictures: {reason}")
+        raise InputError(f"picture: {reason}")
     if name in FIELDS:
         return snapshots.picture(report, FIELDS[name])
     return DRAWN[name](report)
