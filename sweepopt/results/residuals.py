@@ -334,7 +334,8 @@ def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.n
     # projections one by one take most of the time, and chords lose little; where the force is in S
     # the curve is the force itself
     line = _projections(S, ends)
-    inside, share = np.isclose(line, ends).all(axis=(1, 2)), np.linspace(0, 1, aim.shape[1])[:, None]
+    inside = np.isclose(line, ends).all(axis=(1, 2))
+    share = np.linspace(0, 1, aim.shape[1])[:, None]
     s: np.ndarray = (1 - share) * line[:, :1] + share * line[:, 1:]
     s[inside] = _projections(S, aim[inside])
     return s

@@ -26,6 +26,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
@@ -170,6 +171,12 @@ def identity(n: int) -> sp.csr_array:
 
 
 @lru_cache(64)
+def no_rows(n: int) -> sp.csr_array:
+    """A matrix without rows."""
+    return sp.csr_array((0, n))
+
+
+@lru_cache(64)
 def side_by_side(n: int, a: float, b: float) -> sp.csr_array:
     """(s, r) -> a s + b r."""
     return sp.csr_array(sp.hstack([a * identity(n), b * identity(n)]))
@@ -193,7 +200,7 @@ class Form(NamedTuple):
     @classmethod
     def alone(cls, part: ConvexSet) -> Form:
         """A set as its own part."""
-        return cls(identity(part.dim), sp.csr_array((0, part.dim)), (part,))
+        return cls(identity(part.dim), no_rows(part.dim), (part,))
 
     @classmethod
     def beside(cls, *forms: Form) -> Form:
@@ -208,7 +215,7 @@ class Form(NamedTuple):
     def added(cls, C: Form, D: Form) -> Form:
         """C + D."""
         n = C.E.shape[0]
-        return cls._joined(C, D, side_by_side(n, 1, 1), sp.csr_array((0, 2 * n)))
+        return cls._joined(C, D, side_by_side(n, 1, 1), no_rows(2 * n))
 
     @classmethod
     def common(cls, C: Form, D: Form) -> Form:
@@ -219,9 +226,14 @@ class Form(NamedTuple):
     @classmethod
     def _joined(cls, C: Form, D: Form, E: sp.csr_array, F: sp.csr_array) -> Form:
         """{ E (s, r) : s in C, r in D, F (s, r) = 0 }."""
+        parts = C.parts + D.parts
         if C.E is D.E is identity(C.E.shape[0]) and C.F.shape[0] + D.F.shape[0] == 0:
-            return cls(E, F, C.parts + D.parts)
-        return cls.beside(C, D).cut(F).image(E)
+            return cls(E, F, parts)
+        if not (C.small and D.small):
+            return cls.beside(C, D).cut(F).image(E)
+        # a set that is given anew in each step: products of small sparse matrices take 0.5 ms
+        both, rows = (scipy.linalg.block_diag(*map(dense, Ms)) for Ms in ((C.E, D.E), (C.F, D.F)))
+        return cls(sp.csr_array(E @ both), sp.csr_array(np.vstack([rows, F @ both])), parts)
 
     @property
     def small(self) -> bool:
@@ -237,7 +249,8 @@ class Form(NamedTuple):
 
     def image(self, M: Any) -> Form:
         """M C."""
-        return self._replace(E=sp.csr_array(sp.csr_array(M) @ self.E))
+        alone = self.E is identity(self.E.shape[0])
+        return self._replace(E=sp.csr_array(M if alone else sp.csr_array(M) @ self.E))
 
     def cut(self, D: Any) -> Form:
         """The w of C with D w = 0."""

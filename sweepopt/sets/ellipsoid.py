@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,7 +50,7 @@ class Ellipsoid(ConvexSet):
             )
         # by a factor, as eigenvectors round the short axes most
         self._set(center, 1.0, np.linalg.cholesky(shape).T)
-        self._times_shape = Precise(shape)
+        self._shape = shape
 
     def _set(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
         """{ center + radius root^T s : |s| <= 1 }."""
@@ -61,6 +62,10 @@ class Ellipsoid(ConvexSet):
         self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
         self._unit = binary(semiaxes[0])
         self.offsets = np.append(center, radius * self._unit)
+
+    @cached_property
+    def _times_shape(self) -> Precise:
+        return Precise(self._shape)
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)

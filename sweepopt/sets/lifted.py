@@ -136,6 +136,8 @@ class Lifted(ConvexSet):
         80 discs cut with a box are 80 small sets; as one set, their steps miss tol = 1e-9.
         """
         E, F, stacked = self.lifted
+        if np.bincount(E.indices).max(initial=0) == self.dim:
+            return None  # one s holds all unknowns together
         parts = [C for part in stacked for C in part.factors()]
         if parts[0].dim == self.dim and (E[:, : self.dim] != identity(self.dim)).nnz == 0:
             return None  # the first part holds all unknowns together
