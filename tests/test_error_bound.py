@@ -262,6 +262,28 @@ def test_a_sampled_bound_says_what_is_not_known():
         assert bound.reason in repr(bound)
 
 
+COMPOSED = {
+    "a box cut with a ball": so.Box([-1.0, -0.8], [1.0, 0.8]) & so.Ball([0.1, 0.0], 1.0),
+    "a ball and an ellipse": so.Ball([0.0, 0.0], 0.5)
+    + so.Ellipsoid([0.0, 0.0], [[0.5, 0.2], [0.2, 0.3]]),
+    "an ellipse": so.Ellipsoid([0.1, 0.0], [[1.0, 0.3], [0.3, 0.6]]),
+    "a parallelogram": so.image([[1.0, 0.4], [0.2, 0.8]], so.Box([-1.0, -1.0], [1.0, 1.0])),
+}
+
+
+@pytest.mark.parametrize("name, A", [*((name, 1.0) for name in COMPOSED), ("an ellipse", 0.0)])
+def test_the_bound_of_composed_and_curved_sets_is_close(name, A):
+    waves = [(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])]
+    C, B = so.Moving(COMPOSED[name], so.Separable(waves)), [[1.0, -0.2], [-0.2, 0.8]]
+    process = so.SweepingProcess(A * np.array([[1.0, 0.3], [0.3, 0.6]]), B, C, [0.0, 0.0])
+    fine = so.solve(process, t_end=3.0, steps=480, scheme="sdirk2", tol=1e-9)
+    for scheme, most in (("implicit-euler", 5), ("sdirk2", 10)):
+        sol = so.solve(process, t_end=3.0, steps=30, scheme=scheme)
+        bound, error = sol.error_bound(), sizes(process, sol(fine.t) - fine.u).max()
+        assert bound.guaranteed
+        assert 0.99 * error <= bound <= most * error  # the reference is known to 1 % of the error
+
+
 @pytest.mark.parametrize("A", [1.0, 1e-4, 0.0])
 def test_a_body_at_rest_under_rows_that_move_has_the_bound_0(A):
     G = np.vstack([np.eye(2), -np.eye(2)])
