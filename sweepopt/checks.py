@@ -46,14 +46,14 @@ def public(thing: Any) -> Any:
     """
     if isinstance(thing, type):
         for name in vars(thing).keys() & {"__new__", "__init__"}:
-            setattr(thing, name, _checked(getattr(thing, name), thing))
+            setattr(thing, name, _with_checks(getattr(thing, name), thing))
     elif callable(thing):
-        thing = _checked(thing, thing)
+        thing = _with_checks(thing, thing)
         setattr(sys.modules[thing.__module__], thing.__name__, thing)
     return thing
 
 
-def _checked(function: Any, owner: Any) -> Any:
+def _with_checks(function: Any, owner: Any) -> Any:
     call, name, meant = signature(function), owner.__name__, vars(owner).get("meaning", {})
     known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
     only = [key for key, one in call.parameters.items() if one.kind is one.KEYWORD_ONLY]

@@ -35,7 +35,7 @@ def suggestion(word: object, known: Iterable[str]) -> str:
     return f"; did you mean {words[near[0]]}?" if near else ""
 
 
-def called(function: Callable[[Any], Any], argument: Any, name: str) -> Any:
+def result_of(function: Callable[[Any], Any], argument: Any, name: str) -> Any:
     """What a user's function gives; on what it raises is noted which one it was, and at what time.
 
     Errors of ours say it already.

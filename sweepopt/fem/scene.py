@@ -24,7 +24,7 @@ from sweepopt.checks import (
     vector,
 )
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import InputError, called, shown
+from sweepopt.errors import InputError, result_of, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
@@ -527,7 +527,9 @@ def _contribution(
     if not (own or label.startswith("effects.")):
         label = f"{type(effect).__name__}: {label}"
     with at_path(f"{label}."):
-        part = _checked(called(effect.contribute, space, f"{label}.contribute"), space.dim)
+        part = _valid_contribution(
+            result_of(effect.contribute, space, f"{label}.contribute"), space.dim
+        )
     for name in ("history", "moved"):
         if (history := getattr(effect, name, None)) is not None and t_end is not None:
             with at_path(f"{label}.{name}."):
@@ -536,7 +538,7 @@ def _contribution(
     return part
 
 
-def _checked(part: Any, dim: int) -> Contribution:
+def _valid_contribution(part: Any, dim: int) -> Contribution:
     """What an effect gives, if it is finite and fits the body; a user may have written it."""
     if not isinstance(part, Contribution):
         raise InputError(f"contribute must return a so.fem.Contribution, got {shown(part)}")

@@ -137,14 +137,14 @@ class Run:
     """
 
     def __init__(self, grid: Grid, u0: np.ndarray) -> None:
-        self.grid, self._kept = grid, grid.saving.steps
+        self.grid, self._saved_steps = grid, grid.saving.steps
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.exact: Trajectory | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
         self._rows, self._times = np.full(len(grid.mus), 0, ROW), grid.times.data
         self._solvers: dict[str, int] = {}
-        self._nodes = np.zeros((self._kept.size + 1, u0.size))
-        self._velocities = np.zeros((self._kept.size, u0.size))
+        self._nodes = np.zeros((self._saved_steps.size + 1, u0.size))
+        self._velocities = np.zeros((self._saved_steps.size, u0.size))
         self._nodes[0] = u0
         # steps that are done and kept, the last state, velocity and compensation of its sum: one
         # assignment, so that Ctrl-C finds them of the same step
@@ -179,7 +179,7 @@ class Run:
         number = self._solvers.setdefault(solver, len(self._solvers))
         end = self._times[i + 1]
         self._rows[i] = end, seconds, iterations, attempts, certificate, relative, number
-        if i == self._kept[k]:
+        if i == self._saved_steps[k]:
             self._nodes[k + 1], self._velocities[k] = u, z
             k += 1
         self._last = i + 1, k, u, z, compensation
@@ -187,7 +187,7 @@ class Run:
     def states(self) -> States:
         """The kept ones of the steps that are done, and the last one."""
         done, k, u, velocity, _ = self._last
-        steps = self._kept[:k]
+        steps = self._saved_steps[:k]
         if done and done - 1 not in steps[-1:]:
             steps = np.append(steps, done - 1)
             self._nodes[k + 1], self._velocities[k] = u, velocity

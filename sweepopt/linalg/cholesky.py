@@ -161,7 +161,7 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
     lower = triangle(M)
     order = fill_reducing(M) if order is None else order
 
-    def made() -> Any:
+    def factor_in_order() -> Any:
         """The factor in this order and no other."""
         with _settings(SETTINGS):
             factor = cholmod.symbolic(lower, matrix(order.astype(np.int64)))
@@ -170,8 +170,8 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
 
     tail = np.zeros((0, 0))
     if m:  # of a factor of its own, which getfactor empties, and before the other is in memory
-        tail = np.array(matrix(cholmod.getfactor(made())[-m:, -m:]))
-    factor = made()
+        tail = np.array(matrix(cholmod.getfactor(factor_in_order())[-m:, -m:]))
+    factor = factor_in_order()
     system = partial(_system, factor)
     D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
     root, pivots = np.sqrt(np.abs(D)), D

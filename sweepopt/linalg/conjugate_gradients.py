@@ -48,7 +48,7 @@ class ConjugateGradients:
         # all eigenvectors are in a random right-hand side: a negative curvature shows
         self.solve(self._root * lanczos_start(len(self._root)))
         if kept is not None:
-            self._kept = kept
+            self._unknowns = kept
             units = np.zeros((len(kept), len(self._root)))
             units[np.arange(len(kept)), kept] = 1.0
             N = np.linalg.inv(self.solve(units.T)[kept])
@@ -85,10 +85,10 @@ class ConjugateGradients:
     def reduce(self, r: np.ndarray) -> Reduced:
         """M^-1 r, and the force N E M^-1 r on zeta = E z."""
         solved = self.solve(r)
-        return Reduced(solved, self.N @ solved[self._kept], math.sqrt(max(r @ solved, 0.0)))
+        return Reduced(solved, self.N @ solved[self._unknowns], math.sqrt(max(r @ solved, 0.0)))
 
     def recover(self, solved: np.ndarray, zeta: np.ndarray) -> np.ndarray:
         """z with M z = r + E^T s and E z = zeta, from M^-1 r."""
         pressure = np.zeros(len(self._root))
-        pressure[self._kept] = self.N @ (zeta - solved[self._kept])
+        pressure[self._unknowns] = self.N @ (zeta - solved[self._unknowns])
         return np.asarray(solved + self.solve(pressure))

@@ -80,7 +80,7 @@ class Factor:
         divisor(f"{name}[{i}, {i}]", self.diagonal[i])
         self.is_diagonal = is_diagonal(M)
         self.root = np.sqrt(self.diagonal)
-        self.order, self._kept = order, unknowns
+        self.order, self._unknowns = order, unknowns
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -101,7 +101,7 @@ class Factor:
 
     @cached_property
     def _engine(self) -> Any:
-        return _engine(self.M, self.order, self._kept)
+        return _engine(self.M, self.order, self._unknowns)
 
     def forget(self) -> None:
         """Drop the factors; a solve that needs them makes them again."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sweepopt.checks import instant
-from sweepopt.errors import InputError, called, shown
+from sweepopt.errors import InputError, result_of, shown
 from sweepopt.loads.history import Array, History, breakpoints, read_only
 
 
@@ -90,7 +90,7 @@ class Separable:
 
     def value(self, k: int, t: float) -> float:
         """phi_k(t)."""
-        value = called(self.terms[k][0], t, f"terms[{k}][0]")
+        value = result_of(self.terms[k][0], t, f"terms[{k}][0]")
         try:
             return instant("phi", value)
         except InputError as error:

@@ -133,7 +133,7 @@ class SweepingProcess(Displayed):
         agree(**sizes, C=C.dim, u0=self.u0.size)
         self.dim = self.u0.size
         self.C = C.starting_at(self.u0) if isinstance(C, StateDependent) else C
-        self.fields = _checked_fields(fields or {}, self.dim)
+        self.fields = _valid_fields(fields or {}, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None
         self.rate_independent = bool(abs(self.A).max() == 0)
@@ -559,7 +559,7 @@ def sweeping(process: Any) -> SweepingProcess:
     return process
 
 
-def _checked_fields(fields: Any, dim: int) -> dict[str, slice]:
+def _valid_fields(fields: Any, dim: int) -> dict[str, slice]:
     """Names of parts of the unknowns, none of which is in two."""
     if not isinstance(fields, dict):
         raise InputError(f'fields must be a dict such as {{"u": slice(0, 2)}}: {shown(fields)}')

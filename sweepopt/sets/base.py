@@ -405,7 +405,7 @@ class ConvexSet(Operators, ABC):
         """C for one run alone: `start_at` on it is not seen by others."""
         return self if self.exact else copy.copy(self)
 
-    def _kept(self, v: np.ndarray, function: Callable[[np.ndarray], Any]) -> Any:
+    def _memo(self, v: np.ndarray, function: Callable[[np.ndarray], Any]) -> Any:
         """function(v), kept for the last v: projection, derivative and pair ask in turn.
 
         Threads may do so at once: each takes what is kept as one, key and value.

@@ -75,14 +75,14 @@ class Ellipsoid(ConvexSet):
         # x_i = e_i d_i / (e_i + lam)
         w = vector("w", w, self.dim)
         d, e = self._axes.T @ (w - self.center), self._squares
-        lam = self._kept(d, self._multiplier)
+        lam = self._memo(d, self._multiplier)
         if not lam and e.all():
             return w
         return self.center + self._axes @ (e / np.maximum(e + lam, TINY) * d)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         d, e = self._axes.T @ (v - self.center), self._squares
-        lam = self._kept(d, self._multiplier)
+        lam = self._memo(d, self._multiplier)
         inner = np.diag(e / np.maximum(e + lam, TINY))
         if lam:
             fall = e * d / (e + lam) ** 2  # -dx/dlam

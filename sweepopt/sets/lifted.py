@@ -164,7 +164,7 @@ class Lifted(ConvexSet):
 
     def near(self, v: np.ndarray) -> Projection:
         """The projection of v, as exactly as it is found."""
-        near: Projection = self._kept(v, self._projection)
+        near: Projection = self._memo(v, self._projection)
         return near
 
     def start_at(self, v: np.ndarray, s: np.ndarray, n: np.ndarray) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import dimension, instant, number, symmetric, takes, vector
-from sweepopt.errors import InputError, called, shown
+from sweepopt.errors import InputError, result_of, shown
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
@@ -126,7 +126,7 @@ class MovingSet(Operators):
 
     def _member(self, t: float) -> ConvexSet:
         try:
-            C = called(self._at, t, "C(t)")
+            C = result_of(self._at, t, "C(t)")
         except InputError as error:
             where = f"C(t) at t = {t:g}"
             if str(error).startswith(where):
@@ -154,7 +154,7 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
             raise InputError(WITHOUT_STATE)
         fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
         points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
-        at = partial(_operated, operation.__module__, operation.__name__, fixed)
+        at = partial(_operation_at, operation.__module__, operation.__name__, fixed)
         made = MovingSet(at, operation(*points).dim)
         made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
@@ -162,7 +162,7 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
     return on_all
 
 
-def _operated(module: str, name: str, operands: list[Any], t: float) -> ConvexSet:
+def _operation_at(module: str, name: str, operands: list[Any], t: float) -> ConvexSet:
     """What an operation, by its name as pickles need it, makes of its operands at a time."""
     operation = getattr(import_module(module), name)
     return operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
@@ -218,7 +218,7 @@ class Moving(MovingSet):
         if self.center is None:
             return np.zeros(self.dim)
         name = f"{self.center_name}(t)"
-        return vector(f"{name} at t = {t:g}", called(self.center, t, name), self.dim)
+        return vector(f"{name} at t = {t:g}", result_of(self.center, t, name), self.dim)
 
     def scale_at(self, t: float) -> float:
         """scale(t)."""
@@ -226,7 +226,7 @@ class Moving(MovingSet):
         if self.scale is None:
             return 1.0
         name = f"scale(t) at t = {t:g}"
-        return number(name, instant(name, called(self.scale, t, "scale(t)")), minimum=0.0)
+        return number(name, instant(name, result_of(self.scale, t, "scale(t)")), minimum=0.0)
 
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:

@@ -72,7 +72,7 @@ class Polytope(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        face = self._kept(w, self._nearest_face)
+        face = self._memo(w, self._nearest_face)
         return w if face is None else face.point.copy()
 
     def _nearest_face(self, w: np.ndarray) -> _Face | None:
@@ -120,7 +120,7 @@ class Polytope(ConvexSet):
         return _Face(V[active], point)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        face = self._kept(v, self._nearest_face)
+        face = self._memo(v, self._nearest_face)
         if face is None:
             return np.eye(self.dim)
         return projector(face.vertices[1:] - face.vertices[0])

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 import numpy as np
 
 from sweepopt.checks import vector
-from sweepopt.errors import EmptySetError, InputError, SweepoptError, called, shown
+from sweepopt.errors import EmptySetError, InputError, SweepoptError, result_of, shown
 from sweepopt.sets.base import ConvexSet, binary
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def check_features(C: ConvexSet) -> None:
 
     name, z = f"{type(C).__name__}.features", np.cos(np.arange(C.dim) + 1.0)
     try:
-        given = called(C.features, cp.Constant(z), name)
+        given = result_of(C.features, cp.Constant(z), name)
     except NotImplementedError:  # of small programs the projection is enough
         return
     h = vector(f"{type(C).__name__}.offsets", getattr(C, "offsets", None))

@@ -48,7 +48,11 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     SolverRefusedError
         If the name is unknown or the solver cannot treat C.
     """
-    general = [one for one in (_made(OSQP, C, tol), _made(Clarabel, C, tol), LAST) if one.treats(C)]
+    general = [
+        one
+        for one in (_new_solver(OSQP, C, tol), _new_solver(Clarabel, C, tol), LAST)
+        if one.treats(C)
+    ]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
         fastest = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
@@ -67,7 +71,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
                 f"solver {shown(solver)} is not known; use auto, {_names()} or cvxpy:NAME for one "
                 f"that cvxpy knows{near}"
             )
-        solver = Cvxpy(engine.upper()) if engine else _made(REGISTRY[name], C, tol)
+        solver = Cvxpy(engine.upper()) if engine else _new_solver(REGISTRY[name], C, tol)
     if isinstance(solver, type):
         name = "so." * (solver in REGISTRY.values()) + solver.__name__
         raise SolverRefusedError(
@@ -88,7 +92,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     return (solver, *(other for other in (*small, *general) if other.name != solver.name))
 
 
-def _made(kind: Any, C: ConvexSet, tol: float) -> Solver:
+def _new_solver(kind: Any, C: ConvexSet, tol: float) -> Solver:
     """A solver with settings that meet tol; what it calls solved stands where C has no proof."""
     return kind.meeting(tol) if C.certifiable and hasattr(kind, "meeting") else kind()
 

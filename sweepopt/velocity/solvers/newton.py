@@ -102,7 +102,8 @@ class _Iteration:
         if near:
             self._z = self._nearest(q, C)
         for damped in (False, True):
-            self._z, converged, steps = self._iterated(q, C, self._z, damped, near)
+            # a start that is exact but for rounding may end with the first residual
+            self._z, converged, steps = self._iterated(q, C, self._z, damped, stalled=int(near))
             iterations += steps
             if converged:
                 break
@@ -114,7 +115,7 @@ class _Iteration:
             self._metric = C, InMetric(C, dense(self._M.M))
         z, self._start = self._metric[1](q, self._start)
         w, _ = self._M.apply(z, q, NEGLIGIBLE)
-        T = C.weights(self._M.diagonal)
+        T = C.weights(self._M.diagonal)  # all equal: C is one block
         C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
         return z
 
