@@ -62,7 +62,7 @@ times the run (median; worst 11); with 13 and 10 it was 1.25 times closer for
 bodies of uneven viscosity."""
 COSTLY = 0.3
 """Of it, where points are projected one by one, or C is curved: with all of the work bounds of
-images of boxes took 110 times the run, with this they take 4 to 12 (22 at A = 0)."""
+images of boxes took 110 times the run, with this they take 5 to 12 (16 at A = 0)."""
 
 
 class ErrorBound(float):
