@@ -346,8 +346,9 @@ def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.n
 def _projections(S: ConvexSet, curves: np.ndarray) -> np.ndarray:
     """Points of S next to those of curves: ends that several share but for rounding have one."""
     rows = curves.reshape(-1, S.dim)
-    size = SAME * np.abs(rows).max(initial=0.0)
-    keys = rows if S.exact or not size else np.rint(rows / size)
+    if S.exact:
+        return S.project_rows(rows).reshape(curves.shape)
+    keys = np.rint(rows / (SAME * np.abs(rows).max() or 1.0))
     _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)  # along the curves, as one projection starts from that before
     points = np.empty((len(first), S.dim))
