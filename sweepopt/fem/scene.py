@@ -174,8 +174,8 @@ class Scene(Displayed):
     def stress(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
         """Von Mises's stress in each cell, of antiplane shear the shear stress, shape (k, cells).
 
-        That of the mean deviator in the cell, by elasticity, viscosity, plastic strains and Maxwell
-        branches, at times t of the run, by default those of the solution. None where strains do not
+        That of the mean deviator in the cell, by elasticity, viscosity, plastic strains, Maxwell
+        branches, and effects of your own that have `stress`, at times t of the run, by default those of the solution. None where strains do not
         tell it: with a yield stress or a tensor, and in plane stress with an eigenstrain.
         """
         self.require_run(solution)
