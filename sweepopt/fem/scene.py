@@ -175,8 +175,9 @@ class Scene(Displayed):
         """Von Mises's stress in each cell, of antiplane shear the shear stress, shape (k, cells).
 
         That of the mean deviator in the cell, by elasticity, viscosity, plastic strains, Maxwell
-        branches, and effects of your own that have `stress`, at times t of the run, by default those of the solution. None where strains do not
-        tell it: with a yield stress or a tensor, and in plane stress with an eigenstrain.
+        branches, and effects of your own that have `stress`, at times t of the run, by default
+        those of the solution. None where strains do not tell it: with a yield stress or a tensor,
+        and in plane stress with an eigenstrain.
         """
         self.require_run(solution)
         return stress_of(self, solution, solution.t if t is None else np.atleast_1d(t))
