@@ -76,7 +76,7 @@ class Contribution(Brief):
     lift: tuple[History, Array] | None = None
 
 
-class Motion(NamedTuple):
+class Kinematics(NamedTuple):
     """Displacements and velocities at all nodes, and an effect's internal unknowns, at k times.
 
     Attributes
@@ -90,7 +90,7 @@ class Motion(NamedTuple):
     internal: Array
 
 
-Stress = Callable[[Motion], Array]
+Stress = Callable[[Kinematics], Array]
 
 
 class Effect(Protocol):
@@ -101,8 +101,10 @@ class Effect(Protocol):
     unknowns. A `Contribution` may hold ``A=`` (of u'), ``B=`` (of u), ``loads=[(history, f)]``, and
     ``yields=``, rows of the velocity whose forces are bounded, as in the example.
 
-    One that makes a stress may have a method ``stress(body)`` beside: a function of the `Motion`,
-    the deviator at the points of strains, shape (k, cells, points, s); None if it is not known.
+    One that makes a stress may have a method ``stress(body)`` beside. It returns a function: from
+    ``motion.u``, ``motion.rate`` (at all nodes at k times, as `Scene.displacement`) and
+    ``motion.internal`` to the deviator at the points of strains, shape (k, cells, points, s); or
+    None if that is not known.
 
     Examples
     --------

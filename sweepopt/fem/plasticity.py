@@ -32,7 +32,7 @@ from sweepopt.fem.effects import (
     Contribution,
     Effect,
     Elasticity,
-    Motion,
+    Kinematics,
     Record,
     Stress,
     deviators,
@@ -144,7 +144,7 @@ class Plasticity(Record):
     def stress(self, body: Discretisation) -> Stress | None:
         """-2 mu p."""
 
-        def share(motion: Motion) -> Array:
+        def share(motion: Kinematics) -> Array:
             cells, place, p, zz = self._strains(body, motion.internal)
             if zz.size:
                 p[..., 1] -= ZZ * zz

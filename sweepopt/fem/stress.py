@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweepopt.fem.effects import Motion, Stress
+from sweepopt.fem.effects import Kinematics, Stress
 from sweepopt.fem.fields import Array
 from sweepopt.fem.spaces import BODY
 
@@ -39,7 +39,7 @@ def stress_of(scene: Scene, solution: Solution, t: Array) -> Array | None:
     rate = scene.velocity(solution)[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
     total = np.zeros((len(u), 1, 1, 1))
     for law, at in laws:
-        total = total + law(Motion(u, rate, states[:, at]))
+        total = total + law(Kinematics(u, rate, states[:, at]))
     dx = body.place("stress", (BODY,), strains=True).basis.dx
     mean = np.einsum("cp,kcps->kcs", dx / dx.sum(axis=1, keepdims=True), total)
     size: Array = np.linalg.norm(mean, axis=2) * np.sqrt(0.5 if body.components == 1 else 1.5)
