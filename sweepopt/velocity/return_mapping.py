@@ -81,8 +81,8 @@ class ReturnMapping:
         """
         W, few, rest = self._weights, self._few, self._rest
         base, start = (0 * residual, self._v) if z is None else (z, 0 * self._v)
-        # of the tolerance, to which the certificate adds rounding (0.5 takes 41 steps where this takes
-        # 33); a base missed it by rounding: further
+        # of the tolerance, as the certificate adds rounding (with 0.5 a ring takes 41 steps instead
+        # of 33); a base missed it by rounding: further
         share = 0.9 if z is None else 0.05
         f, p_base = residual[rest], base[few]
         r_base = residual[few] - W * p_base
