@@ -24,6 +24,7 @@ html_title = "sweepopt"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
+smartquotes = False  # pages name options such as --set, to be copied
 
 myst_enable_extensions = ["deflist", "dollarmath", "colon_fence"]
 myst_heading_anchors = 3

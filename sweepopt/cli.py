@@ -244,7 +244,7 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     lines["energy"] = (
         f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
         f"+ viscous {energy.viscous[-1]:.4g} + friction {energy.friction[-1]:.4g}, "
-        f"balance {energy.balance[-1]:.1e}"
+        f"balance {energy.balance[-1]:.1e}{joule}"
     )
     lines["worst certificate"] = f"{solution.stats['relative'].max():.1e} (relative)"
     named = [name for name in files if not name.endswith(".vtu")]

@@ -43,10 +43,11 @@ def svg(curves: Sequence[np.ndarray], equal: bool = False, title: str = "") -> s
     scale = np.array([300.0, -120.0]) / size
     if equal:
         scale = np.array([1, -1]) * abs(scale).min()
+    colours = COLOURS if len(curves) <= len(COLOURS) else COLOURS[:1]
     lines = ""
     for i, curve in enumerate(curves):
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (curve - low) * scale + [5.0, 125.0])
-        colour = COLOURS[i % len(COLOURS)]
+        colour = colours[i % len(colours)]
         lines += f'<polyline points="{points}" fill="none" stroke="{colour}"/>'
     return (
         f'<svg width="310" height="150" xmlns="http://www.w3.org/2000/svg">{lines}'

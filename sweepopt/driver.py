@@ -75,9 +75,9 @@ def solve(
     on_failure: Literal["raise", "stop"] = "raise",
     on_unstable: Literal["raise", "warn", "ignore"] = "raise",
 ) -> Solution:
-    """Move a process through time and certify every step.
+    """Integrate a process and certify every step.
 
-    t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation.
+    t_i = t_0 + i h; u_{i+1} = u_i + h sum_k b_k z_k with compensated summation.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def solve(
         is tried with other solvers, then in 2 to 16 equal parts, then handled as on_failure says.
         The solver of a step in parts is "osqp/4" in `stats`, its certificate the worst of theirs.
     error : float, optional
-        Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
-        callback sees, and save= counts, the steps of the last run only, which is run once more;
-        of a run that stops early (on_failure, Ctrl-C) there is none: no file, no call.
+        Refine the steps until `Solution.error_bound` is at most this; needs a load as data. For the
+        callback and `save` the last, finest run is repeated; where a run stops early (on_failure,
+        Ctrl-C) the callback is not called, and no file is written.
     path : {"auto", "proportional", "eliminated", "return mapping", "cones", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
@@ -134,14 +134,14 @@ def solve(
     checkpoint : Checkpoint, str or Path, optional
         A file that the run is written to again and again, so that ``so.resume(path, process)``
         continues it if it is killed, with the same result bit for bit. Not for `error`, Adaptive,
-        "exact" or NetCDF. It moves the result by rounding, see `Checkpoint`.
+        "exact" or NetCDF. It changes the result by rounding, see `Checkpoint`.
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when step * Lam > 2; between 1 and 2 it warns unless "ignore". So do
-        schemes by name, but with Adaptive: midpoint and trapezoid that ring (step * Lam > 10/3 or
-        A = 0, while C(t) moves) and, where B u0 is outside of C(0), midpoint, trapezoid
-        (step * Lam > 2) and sdirk2 (step * Lam > 1 + sqrt 2) that can pass the true rest.
+        What catching-up does when step * Lam > 2. Unless it is "ignore", and but for Adaptive,
+        schemes by name warn: catching-up between 1 and 2; midpoint and trapezoid where they ring
+        (step * Lam > 10/3 or A = 0, while C(t) moves); where B u0 is outside of C(0), midpoint and
+        trapezoid from 2 on and sdirk2 from 1 + sqrt 2 on, which can overshoot the equilibrium.
 
     Returns
     -------

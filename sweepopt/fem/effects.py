@@ -101,10 +101,10 @@ class Effect(Protocol):
     unknowns. A `Contribution` may hold ``A=`` (of u'), ``B=`` (of u), ``loads=[(history, f)]``, and
     ``yields=``, rows of the velocity whose forces are bounded, as in the example.
 
-    One that makes a stress may have a method ``stress(body)`` beside. It returns a function: from
-    ``motion.u``, ``motion.rate`` (at all nodes at k times, as `Scene.displacement`) and
-    ``motion.internal`` to the deviator at the points of strains, shape (k, cells, points, s); or
-    None if that is not known.
+    An effect that makes a stress may have a method ``stress(body)`` too. It returns None if the
+    stress is not known, else a function of the motion: of ``motion.u`` and ``motion.rate`` (at all
+    nodes at k times, as `Scene.displacement`) and ``motion.internal``. That function returns the
+    deviator at the points of strains, shape (k, cells, points, s).
 
     Examples
     --------
@@ -121,7 +121,7 @@ class Effect(Protocol):
     ...         on_line = body.mesh.facets_satisfying(lambda x: np.isclose(x[0], self.at))
     ...         basis = skfem.FacetBasis(body.mesh, body.basis.elem, facets=on_line)
     ...         length = body.restrict(skfem.LinearForm(lambda v, w: v).assemble(basis))
-    ...         rubs = np.flatnonzero(length)        # the unknowns on the line
+    ...         rubs = np.flatnonzero(length > 1e-9)     # the unknowns on the line
     ...         E = sp.eye_array(length.size, format="csr")[rubs]
     ...         rows = Rows(E, block=1, weight=length[rubs], where="nodes")
     ...         return Contribution(yields=[Yield(rows, g=np.full(rubs.size, self.g))])
@@ -878,7 +878,9 @@ def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
 
 def _check_compressible(nu: Array) -> None:
     if nu.max() >= 0.5:
-        raise InputError(f"nu must be < 0.5, got {nu.max():g}; incompressible is no limit")
+        raise InputError(
+            f"nu must be < 0.5, got {nu.max():g}: incompressible bodies are not in the class"
+        )
 
 
 def strains_of(body: Discretisation) -> Callable[[Any], list[Any]]:

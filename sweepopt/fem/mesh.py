@@ -177,7 +177,7 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
         raise InputError(f"mesh {path.name:.100}: {error}") from error
     except (Exception, SystemExit) as error:  # meshio has no list of what it raises
         fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
-        what = f"mesh {path.name:.100}: is damaged or no mesh that meshio can read"
+        what = f"mesh {path.name:.100}: is damaged or no mesh that meshio can read, such as .msh"
         raise InputError(f"{what} ({fault:.200})") from error
 
 

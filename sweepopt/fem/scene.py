@@ -451,8 +451,8 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
     if (point := space.loose_point(of_body)) is not None:
         raise InputError(
             f"clamped (domain.clamped of a file): nothing holds the piece of the body with the "
-            f"point {point}, or less than rounding; clamp part of every piece, hold components, or "
-            "give it a foundation or a dashpot (a must be coercive)"
+            f"point {point} (above rounding); clamp part of every piece, hold components, or give "
+            "it a foundation or a dashpot"
         )
 
 

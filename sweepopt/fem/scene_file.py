@@ -237,8 +237,10 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
     for name, table in tables.items():
         path = f"effects.{name}"
         if name not in EFFECTS:
+            own = "; an effect of your own must be in sweepopt.fem.EFFECTS first"
             raise InputError(
-                f"{path}: unknown key; there are: {', '.join(EFFECTS)}{suggestion(name, EFFECTS)}"
+                f"{path}: unknown key; there are: {', '.join(EFFECTS)}"
+                f"{suggestion(name, EFFECTS) or own}"
             )
         several = {path: table}
         if isinstance(table, list):
@@ -278,7 +280,9 @@ def _time(end: float, steps: int) -> dict[str, Any]:
 
 
 def _column(csv: Path, column: str, time: str | None = None, scale: float = 1.0) -> Table:
-    return Table.from_csv(csv, column, time=time, scale=scale)
+    number("scale", scale)  # the key, before what is in the file
+    with at_path("csv: "):
+        return Table.from_csv(csv, column, time=time, scale=scale)
 
 
 def _points(t: Any, values: Any) -> Table:
@@ -405,7 +409,9 @@ def _check_step(
         remedy = f"name an entry, such as {where}[0]" if isinstance(table, list) else "set it whole"
         raise InputError(f"{path}: {where} is no table, but {shown(table)}; {remedy}")
     elif key not in table and not may_be_new:
+        remedy = f"Set the whole table to add it, such as {path.partition(key)[0]}{key}={{...}}"
+        if key in EFFECTS and not before:
+            remedy = f"Did you mean effects.{path}?"
         raise InputError(
-            f"{path}: {where} has no table {key!r}; there are: {', '.join(table)}. Set the whole "
-            f"table to add it, such as {path.partition(key)[0]}{key}={{...}}"
+            f"{path}: {where} has no table {key!r}; there are: {', '.join(table)}. {remedy}"
         )

@@ -156,7 +156,7 @@ class Discretisation(Brief):
         for name, what in self.held.items():
             self.facets("held", [name])
             if what != "all" and not (isinstance(what, str) and what and set(what) <= set(known)):
-                one = f"'all' of kind {self.kind!r}, the default of which is 'antiplane'"
+                one = f"'all', as {self.kind!r} has one component (the default kind is 'antiplane')"
                 letters = f"letters of {known!r} or 'all'" if known else one
                 raise InputError(f"held.{name} must be {letters}, got {shown(what)}")
 

@@ -132,9 +132,19 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
 
 
 class StepInfo(NamedTuple):
-    """What a callback sees after a step: its index, end time, state, velocity, certificate.
+    """What a callback sees after a step.
 
-    The certificate is that of `Solution.stats`: the worst of the programs that the step solved.
+    Attributes
+    ----------
+    step : int
+        Its index.
+    t : float
+        Its end.
+    u : ndarray, shape (dim,)
+        The state at t.
+    velocity : ndarray, shape (dim,)
+    certificate : float
+        As in `Solution.stats`: the worst of the programs that the step solved.
     """
 
     step: int

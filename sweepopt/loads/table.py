@@ -108,9 +108,9 @@ class Table(Brief, History):
             self._inside([start, end])
         except InputError as error:
             raise InputError(
-                f"a table of C(t) covers [{self.times[0]:.12g}, {self.times[-1]:.12g}], but the "
-                f"run [{start:.12g}, {end:.12g}]: extend the table, or let the run end with it, "
-                f"t_end = {self.times[-1]:.12g}"
+                f"a table of the load or of C(t) covers [{self.times[0]:.12g}, "
+                f"{self.times[-1]:.12g}], but the run [{start:.12g}, {end:.12g}]: "
+                f"extend the table, or let the run end with it, t_end = {self.times[-1]:.12g}"
             ) from error
 
     def breakpoints(self, a: float, b: float) -> Array:

@@ -344,7 +344,11 @@ class SweepingProcess(Displayed):
                     f"{where}. A is 0 on its kernel, and no solution starts there: change u0, to "
                     "so.compatible_start(process) for example"
                 )
-        warn(f"{where}. The solution exists and starts with a velocity", InitialStateWarning)
+        warn(
+            f"{where}. The solution exists and starts with a velocity; "
+            "u0=so.compatible_start(process) starts at rest",
+            InitialStateWarning,
+        )
         return True
 
     @cached_property
@@ -441,12 +445,12 @@ class SweepingProcess(Displayed):
 
 @meaning(
     C="; its C(t) is load - dissipation: give these, or take SweepingProcess(A, B, C, u0)",
-    f="; the load is load",
+    f="; f is load",
     J="; J is the support function of the set dissipation",
     D="; D is dissipation",
     friction="; a friction bound g is dissipation=so.Box(-g, g)",
     g="; a friction bound g is dissipation=so.Box(-g, g)",
-    K="; K is cone",
+    K="; a stiffness is B, the cone K is cone",
     x0="; the start is u0",
 )
 class EvolutionVI(SweepingProcess):
@@ -555,7 +559,10 @@ def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
 def sweeping(process: Any) -> SweepingProcess:
     """The process, if it is one."""
     if not isinstance(process, SweepingProcess):
-        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
+        raise InputError(
+            f"process must be a SweepingProcess or an EvolutionVI, got {shown(process)}; a scene "
+            "is run by scene.solve()"
+        )
     return process
 
 
@@ -639,7 +646,7 @@ def _check_projection(C: ConvexSet) -> None:
             if product > sigma + tol or (z is p and tol < sigma - product < np.inf):
                 raise InputError(
                     f"{name}.project contradicts {name}.support: for w = project(v) and "
-                    f"z = {'v - w' if z is p else 'a direction'} it is <z, w> = {product:g}, but "
+                    f"z = {'v - w' if z is p else shown(z)} it is <z, w> = {product:g}, but "
                     f"support(z) = {sigma:g}, which is the supremum of <z, w> over C"
                 )
     check_features(C)

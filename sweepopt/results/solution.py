@@ -52,6 +52,10 @@ if TYPE_CHECKING:
     from sweepopt.integrate import Trajectory
 
 
+SCIPY = {"y": "the states are u, one row a time", "sol": "the solution is a function: call it"}
+"""Attributes of the answer of SciPy's solve_ivp, and what stands here for them."""
+
+
 class Field(NamedTuple):
     """Some unknowns of a solution by name: at its times, and their velocities in its steps."""
 
@@ -113,6 +117,13 @@ class Solution(Displayed):
         """For copies and pickle: the states as arrays; those of a run are functions of its plan."""
         states = States(self.steps, self.u.__getitem__, self.velocity.__getitem__)
         return {one.name: getattr(self, one.name) for one in fields(self)} | {"states": states}
+
+    if not TYPE_CHECKING:  # to a type checker no other attribute exists
+
+        def __getattr__(self, name: str) -> Any:
+            if name in SCIPY:
+                raise AttributeError(f"Solution has no attribute {name}; {SCIPY[name]}")
+            return object.__getattribute__(self, name)
 
     def _rows(self) -> Rows:
         stats, names = self.statistics.rows, [*self.statistics.solvers, "none"]
@@ -299,7 +310,9 @@ class Solution(Displayed):
             i = range(len(self.steps))[i]
         except (IndexError, TypeError):
             kept = len(self.steps)
-            raise InputError(f"step i = {shown(i)} is none of the {kept} that were kept") from None
+            raise InputError(
+                f"i must be the number of a step that was kept, 0 to {kept - 1}, got {shown(i)}"
+            ) from None
         step = self.steps[i]
         t, end = self._grid[step : step + 2].tolist()
         if step == (self.steps[i - 1] + 1 if i else 0):
@@ -475,7 +488,10 @@ class Solution(Displayed):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does."""
-        put(writable("path", path), netcdf_bytes(self.to_xarray()))
+        file = writable("path", path)
+        if file.suffix != ".nc":
+            raise InputError(f"path is {shown(str(path))}; a NetCDF file must end with .nc")
+        put(file, netcdf_bytes(self.to_xarray()))
 
     @classmethod
     def load(cls, path: str | PathLike[str], process: SweepingProcess | None = None) -> Solution:

@@ -643,7 +643,10 @@ class ConvexSet(Operators, ABC):
 
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""
-        raise InputError(f"{type(self).__name__} is not a cone; polar() is defined for cones only")
+        raise InputError(
+            f"{type(self).__name__} is not a cone, and has no polar(); cones are so.Orthant(n), "
+            "so.SecondOrderCone(n) and half-spaces through 0"
+        )
 
     def _polar_unknown(self) -> InputError:
         return InputError(

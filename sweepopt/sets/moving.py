@@ -197,8 +197,8 @@ class Moving(MovingSet):
     def __init__(self, shape: ConvexSet, center: Any = None, scale: Any = None) -> None:
         if not isinstance(shape, ConvexSet):
             raise InputError(
-                f"shape must be a set that does not move, got {shown(shape)}; a function t -> set "
-                "is so.MovingSet(function)"
+                f"shape must be a set that does not move, got {shown(shape)}; it comes before "
+                "center and scale, and a function t -> set is so.MovingSet(function)"
             )
         self.shape, self.dim = shape, shape.dim
         if not callable(center) and center is not None:
