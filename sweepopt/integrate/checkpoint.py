@@ -84,7 +84,7 @@ class Checkpoint:
             object.__setattr__(self, "steps", count("steps", self.steps))
         pause = self.seconds if self.seconds is not None else 0.0 if self.steps else SECONDS
         object.__setattr__(self, "seconds", number("seconds", pause, minimum=0.0))
-        writable("checkpoint", self.path)
+        writable("path", self.path)
 
     @property
     def file(self) -> Path:
@@ -206,7 +206,9 @@ def checkpoint_writer(
     if asked is None:
         yield None
         return
-    checkpoint = asked if isinstance(asked, Checkpoint) else Checkpoint(asked)
+    if not isinstance(asked, Checkpoint):
+        asked = Checkpoint(writable("checkpoint", asked))
+    checkpoint: Checkpoint = asked
     if grid.plan.scheme.exact:
         raise InputError("checkpoint= is for steps; scheme 'exact' computes the run at once")
     if isinstance(options.save, (str, PathLike)) and options.save != "last":

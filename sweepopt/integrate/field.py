@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import instant, tolerance, vector
+from sweepopt.checks import instant, tolerance, vector, with_checks
 from sweepopt.errors import InputError, VelocityError
 from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
@@ -93,7 +93,8 @@ def velocity_field(
     else:
         solve = compiled(0.0, start)
 
-    def field(t: float, u: Any) -> np.ndarray:
+    @with_checks
+    def velocity(t: float, u: Any) -> np.ndarray:
         nonlocal solve
         t, u = instant("t", t), vector("u", u, process.dim)
         C = process.set_at(t, u)
@@ -110,7 +111,7 @@ def velocity_field(
             )
         return z
 
-    return field
+    return velocity
 
 
 def compatible_start(process: SweepingProcess | EvolutionVI, t: float = 0.0) -> np.ndarray:

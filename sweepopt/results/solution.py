@@ -358,6 +358,7 @@ class Solution(Displayed):
     def _projection(self) -> VelocityOf:
         return compile_projection(self.plan, self.process.metric)
 
+    @checks.with_checks
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
