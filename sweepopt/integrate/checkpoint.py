@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,10 +29,21 @@ from sweepopt.errors import (
     warn,
 )
 from sweepopt.integrate.fingerprint import differences, fingerprint
-from sweepopt.integrate.options import SolveOptions, decoded, encoded
-from sweepopt.integrate.record import Grid, Run
-from sweepopt.io import locked, read_npz, remove_parts, versions_of, writable, write_npz
-from sweepopt.problem import SweepingProcess
+from sweepopt.io import (
+    decoded,
+    encoded,
+    locked,
+    read_npz,
+    remove_parts,
+    versions_of,
+    writable,
+    write_npz,
+)
+
+if TYPE_CHECKING:
+    from sweepopt.integrate.options import SolveOptions
+    from sweepopt.integrate.record import Grid, Run
+    from sweepopt.problem import SweepingProcess
 
 SCHEMA = 5  # of the file: one more for each change of what it holds
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")

@@ -39,8 +39,8 @@ from sweepopt.io import put, writable
 from sweepopt.problem import SweepingProcess, sweeping
 from sweepopt.results.dataset import STATISTICS, netcdf_bytes, read_run, to_xarray
 from sweepopt.results.energy import Energy, energy_of
-from sweepopt.results.error_bound import ErrorBound, error_bound
-from sweepopt.results.nodes import Nodes, nodes_of
+from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
+from sweepopt.results.interpolation import Nodes
 from sweepopt.velocity import Plan, StepProgram, VelocityOf, compile_projection, make_plan
 
 if TYPE_CHECKING:
