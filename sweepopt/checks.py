@@ -46,14 +46,16 @@ def public(thing: Any) -> Any:
     """
     if isinstance(thing, type):
         for name in vars(thing).keys() & {"__new__", "__init__"}:
-            setattr(thing, name, _with_checks(getattr(thing, name), thing))
+            setattr(thing, name, with_checks(getattr(thing, name), thing))
     elif callable(thing):
-        thing = _with_checks(thing, thing)
+        thing = with_checks(thing)
         setattr(sys.modules[thing.__module__], thing.__name__, thing)
     return thing
 
 
-def _with_checks(function: Any, owner: Any) -> Any:
+def with_checks(function: Any, owner: Any = None) -> Any:
+    """The function, which names its arguments where it is called with others."""
+    owner = owner or function
     call, name, meant = signature(function), owner.__name__, vars(owner).get("meaning", {})
     known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
     only = [key for key, one in call.parameters.items() if one.kind is one.KEYWORD_ONLY]

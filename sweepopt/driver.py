@@ -6,6 +6,7 @@ argument is checked before the loop starts.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +17,15 @@ from typing import Any, Literal
 import numpy as np
 
 from sweepopt.checks import meaning, number, takes
-from sweepopt.errors import InputError, SaveError, Status, StepError, SweepoptWarning, shown
+from sweepopt.errors import (
+    AccuracyError,
+    InputError,
+    SaveError,
+    Status,
+    StepError,
+    SweepoptWarning,
+    shown,
+)
 from sweepopt.integrate import (
     MEMORY,
     Adaptive,
@@ -35,6 +44,7 @@ from sweepopt.integrate import (
     adapt,
     check_stability,
     checkpoint_writer,
+    divided,
     first_grid,
     integrate,
     newest,
@@ -44,9 +54,14 @@ from sweepopt.integrate import (
     time_grid,
 )
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.results import NetCDFSink, Solution, refine
+from sweepopt.results import NetCDFSink, Solution
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
+
+GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
+LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
+STEPS = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
+HOPELESS = 100 * STEPS  # needed by the order of the scheme, from a grid that may be too coarse
 
 
 @meaning(
@@ -279,16 +294,58 @@ def _refine(
     callback: Callback | None,
     progress: bool,
 ) -> Solution:
-    """Runs with more and more steps, until the bound of one is at most `error`."""
+    """The run whose guaranteed error bound is at most `error`."""
     if isinstance(options.steps, Adaptive):
         raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
-    first, _ = time_grid(options.t_end, options.steps)
-    bound = number("error", error, minimum=0.0, strict=True)
-    all_kept, run = replace(options, t_end=None, save=None), _warning_once(_run)
-    sol = refine(lambda times: run(process, replace(all_kept, steps=times)), first, bound)
+    times, _ = time_grid(options.t_end, options.steps)
+    error = number("error", error, minimum=0.0, strict=True)
+    options, run = replace(options, t_end=None), _warning_once(_run)
+    sol = _with_bound(
+        lambda times: run(process, replace(options, save=None, steps=times)), times, error
+    )
     if not sol.success or (options.save is None and callback is None and not progress):
         return sol
-    return run(process, replace(options, t_end=None, steps=sol.t), callback, progress)
+    return run(process, replace(options, steps=sol.t), callback, progress)
+
+
+def _with_bound(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: float) -> Solution:
+    """Run on finer and finer grids, each of which contains the one before, until the bound is met.
+
+    Ctrl-C during a run returns its steps, Ctrl-C during a bound the run that it is of.
+    """
+    last: float | None = None
+    solution: Any = None
+    while len(times) <= STEPS:
+        try:
+            solution = run(times)
+            if not solution.success:
+                return solution
+            bound = solution._bound  # without the warning
+        except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
+            if solution is None:
+                raise
+            return replace(solution, status=Status.INTERRUPTED)
+        if not bound.guaranteed:
+            raise InputError(
+                "error= needs a guaranteed bound, but only samples are known of this C(t): give "
+                "the load as so.Separable of tables and waveforms (offsets h(t) with one entry a "
+                "row of G), or look at sol.error_bound(variation=v)"
+            )
+        if bound <= error:
+            return solution
+        if last is not None and not bound < LEAST_GAIN * last:
+            break
+        last = float(bound)
+        factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
+        if math.isfinite(bound) and factor * len(times) > HOPELESS:
+            break
+        times = divided(times, max(math.ceil(min(factor, GROWTH)), 2))
+    raise AccuracyError(
+        f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
+        f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "
+        "steps. Ask for less, take a scheme of second order, or tighten tol",
+        solution,
+    )
 
 
 def _adapt(

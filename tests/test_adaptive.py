@@ -90,6 +90,11 @@ def error_of(sol, process=None):
     return max(map(process.metric.norm, sol.u - exact(sol.t)))
 
 
+def test_estimates_that_rise_for_a_pass_or_two_end_no_run():
+    """Of this run six estimates alternate between 1.4 and 3.3 tol, while the error falls."""
+    assert max(random_errors(30, 1.0, "catching-up")) <= FACTOR
+
+
 def random_errors(seed, A, scheme):
     """max_i |u_i - u(t_i)| / tol for two tolerances of a random process."""
     process, t_end = random_process(seed, A)
@@ -97,14 +102,9 @@ def random_errors(seed, A, scheme):
     size = max(map(process.metric.norm, u))
     errors = []
     for tol in (1e-2 * size, 1e-3 * size):
-        try:
-            sol = so.solve(
-                process, t_end=t_end, steps=so.Adaptive(tol), scheme=scheme, on_unstable="ignore"
-            )
-        except so.StepError as refusal:  # one of 64 with catching-up; it counts as a miss
-            assert "rises with shorter steps" in str(refusal)  # noqa: PT017
-            errors.append(np.inf)
-            continue
+        sol = so.solve(
+            process, t_end=t_end, steps=so.Adaptive(tol), scheme=scheme, on_unstable="ignore"
+        )
         assert sol.success
         errors.append(error_of(sol) / tol)
     return errors

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.integrate.adaptive import Adaptive, adapt, first_grid
+from sweepopt.integrate.adaptive import adapt, first_grid
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     CheckpointWriter,
@@ -12,7 +12,12 @@ from sweepopt.integrate.checkpoint import (
     require_same_problem,
 )
 from sweepopt.integrate.exact import Trajectory
-from sweepopt.integrate.field import compatible_start, velocity_field
+from sweepopt.integrate.field import (
+    compatible_start,
+    program_of_stage,
+    step_program,
+    velocity_field,
+)
 from sweepopt.integrate.fingerprint import differences, fingerprint
 from sweepopt.integrate.grid import (
     check_stability,
@@ -28,7 +33,7 @@ from sweepopt.integrate.loop import (
     integrate,
     observer,
 )
-from sweepopt.integrate.options import SolveOptions
+from sweepopt.integrate.options import Adaptive, SolveOptions
 from sweepopt.integrate.record import (
     MEMORY,
     ROW,
@@ -41,7 +46,6 @@ from sweepopt.integrate.record import (
     saving,
 )
 from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler
-from sweepopt.integrate.stage_program import program_of_stage, step_program
 from sweepopt.integrate.step import BY_EULER, Velocities, combination, compensated_sum
 
 __all__ = [

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,10 +29,21 @@ from sweepopt.errors import (
     warn,
 )
 from sweepopt.integrate.fingerprint import differences, fingerprint
-from sweepopt.integrate.options import SolveOptions, decoded, encoded
-from sweepopt.integrate.record import Grid, Run
-from sweepopt.io import locked, read_npz, remove_parts, versions_of, writable, write_npz
-from sweepopt.problem import SweepingProcess
+from sweepopt.io import (
+    decoded,
+    encoded,
+    locked,
+    read_npz,
+    remove_parts,
+    versions_of,
+    writable,
+    write_npz,
+)
+
+if TYPE_CHECKING:
+    from sweepopt.integrate.options import SolveOptions
+    from sweepopt.integrate.record import Grid, Run
+    from sweepopt.problem import SweepingProcess
 
 SCHEMA = 5  # of the file: one more for each change of what it holds
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
@@ -84,7 +95,7 @@ class Checkpoint:
             object.__setattr__(self, "steps", count("steps", self.steps))
         pause = self.seconds if self.seconds is not None else 0.0 if self.steps else SECONDS
         object.__setattr__(self, "seconds", number("seconds", pause, minimum=0.0))
-        writable("checkpoint", self.path)
+        writable("path", self.path)
 
     @property
     def file(self) -> Path:
@@ -206,7 +217,9 @@ def checkpoint_writer(
     if asked is None:
         yield None
         return
-    checkpoint = asked if isinstance(asked, Checkpoint) else Checkpoint(asked)
+    if not isinstance(asked, Checkpoint):
+        asked = Checkpoint(writable("checkpoint", asked))
+    checkpoint: Checkpoint = asked
     if grid.plan.scheme.exact:
         raise InputError("checkpoint= is for steps; scheme 'exact' computes the run at once")
     if isinstance(options.save, (str, PathLike)) and options.save != "last":

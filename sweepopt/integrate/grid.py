@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
 from sweepopt.linalg import EPS
 from sweepopt.loads import Constant, History, breakpoints
 from sweepopt.problem import SweepingProcess, histories_of, motion
-from sweepopt.velocity import Plan
+
+if TYPE_CHECKING:
+    from sweepopt.velocity import Plan
 
 MOST = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""

@@ -17,12 +17,11 @@ from sweepopt.display import by_parts
 from sweepopt.errors import InputError, Status, brought_by, shown
 from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.grid import by_steps
-from sweepopt.integrate.record import Run
+from sweepopt.integrate.record import Run, Step
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import (
     INDEFINITE,
     PARTS,
-    Step,
     Velocities,
     compensated_sum,
 )

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import choice, number, tolerance
+from sweepopt.checks import choice, meaning, number, tolerance
 from sweepopt.errors import InputError, shown
-from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.grid import (
     contraction,
     evaluation_times,
@@ -19,50 +17,63 @@ from sweepopt.integrate.grid import (
 )
 from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import Scheme, automatic, choose
+from sweepopt.io import decoded, encoded
 from sweepopt.loads import Table
 from sweepopt.problem import SweepingProcess, histories_of
 from sweepopt.velocity import PATHS, REGISTRY, Plan, make_plan
 
 
-def encoded(value: Any) -> Any:
-    """The nest in terms of JSON.
+@meaning(
+    rtol="; give tol, the error itself in the units of |u|_A",
+    atol="; give tol, the error in the units of |u|_A",
+    max_step="; give first, the longest step",
+)
+@dataclass(frozen=True)
+class Adaptive:
+    """Steps that are chosen such that max_i |u_i - u(t_i)|_A is at most tol (|.|_B where A = 0).
+
+    Parameters
+    ----------
+    tol : float
+        The global error, in the units of |u|_A. It is estimated, not proved.
+    first : float, optional
+        Longest step, t_end / 16 by default, t_end / 32 where the load is a function. An event of
+        such a load that is shorter than the steps can pass unseen: make `first` as short as it.
+    minimum : float, optional
+        Shortest step, t_end 2^-40 by default.
 
     Raises
     ------
-    TypeError
-        If it is none of numbers, text and arrays, alone or in tuples, lists and dicts.
+    InputError
+        If a number is not positive, or minimum is longer than first.
+
+    Notes
+    -----
+    C(t) is asked for at any time. Where a function knows it only at multiples of a step, give these
+    times as `steps` of `solve` with a scheme that looks at no others, such as implicit-euler, or
+    give the load as a Table.
+
+    Examples
+    --------
+    >>> import sweepopt as so
+    >>> C = so.Moving(so.Box(-1, 1), center=lambda t: 1.5 * t)
+    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
+    >>> sol = so.solve(process, t_end=5.0, steps=so.Adaptive(1e-4))
+    >>> sol.passes[-1].error < 1e-4, round(float(sol(5.0)[0]), 3)
+    (True, 3.063)
     """
-    kind = type(value)
-    if value is None or kind in (bool, float, str) or (kind is int and abs(value) < 2**63):
-        return value  # Python writes no integer of any length
-    if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in "biuf":
-        content = base64.b64encode(value.tobytes()).decode()
-        return {
-            "array": kind is np.ndarray,
-            "dtype": value.dtype.str,
-            "shape": value.shape,
-            "bytes": content,
-        }
-    if kind in (list, tuple):
-        return {kind.__name__: [encoded(part) for part in value]}
-    if kind is dict and all(type(key) is str for key in value):
-        return {"dict": {key: encoded(part) for key, part in value.items()}}
-    raise TypeError(f"{kind.__name__} is not stored")
 
+    tol: float
+    first: float | None = None
+    minimum: float | None = None
 
-def decoded(value: Any) -> Any:
-    """What `encoded` took."""
-    match value:
-        case {"dict": parts}:
-            return {key: decoded(part) for key, part in parts.items()}
-        case {"list": parts}:
-            return [decoded(part) for part in parts]
-        case {"tuple": parts}:
-            return tuple(map(decoded, parts))
-        case {"array": is_array, "dtype": dtype, "shape": shape, "bytes": content}:
-            flat = np.frombuffer(base64.b64decode(content), dtype)
-            return flat.reshape(shape).copy() if is_array else flat[0]
-    return value
+    def __post_init__(self) -> None:
+        for name in ("tol", "first", "minimum"):
+            value = getattr(self, name)
+            if value is not None or name == "tol":
+                object.__setattr__(self, name, number(name, value, 0.0, strict=True))
+        if self.first is not None and self.minimum is not None and self.minimum > self.first:
+            raise InputError(f"minimum, {self.minimum:g}, is longer than first, {self.first:g}")
 
 
 @dataclass(frozen=True, eq=False)

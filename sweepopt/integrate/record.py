@@ -16,10 +16,10 @@ import numpy as np
 from sweepopt.checks import TIME_SLACK, axes, takes, vector
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.io import writable
-from sweepopt.velocity import Plan, Velocity
 
 if TYPE_CHECKING:
     from sweepopt.integrate.exact import Trajectory
+    from sweepopt.velocity import Plan, Velocity
 
 MEMORY = 4e9
 """Bytes that the kept states may take."""
@@ -115,6 +115,25 @@ class Grid(NamedTuple):
     mus: np.ndarray
     plan: Plan
     saving: Saving
+
+
+class Step(NamedTuple):
+    """A step, whole or in parts.
+
+    Attributes
+    ----------
+    velocity : Velocity
+        The mean velocity with the worst certificate of the programs and all their work. In parts
+        that is no bound of the error of one whole step, which nobody knows.
+    cause : str
+        Why the step cannot be taken in parts at all.
+    end : ndarray or None
+        The state at its end, where that is not a sum.
+    """
+
+    velocity: Velocity
+    cause: str = ""
+    end: np.ndarray | None = None
 
 
 class Run:

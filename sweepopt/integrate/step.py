@@ -13,11 +13,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sweepopt.errors import IndefiniteError, InputError, TouchingError
+from sweepopt.integrate.record import Step
 from sweepopt.integrate.schemes import Scheme, implicit_euler, is_stiff
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ROUNDING, ConvexSet
@@ -31,25 +32,6 @@ SHARE = 0.1  # of the tolerance, for the programs: 1 / (1 - 0.8) of it is in the
 BY_EULER = ", implicit-euler"  # after the solver of a step that was taken by steps of that
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
 Stages = list[Velocity]
-
-
-class Step(NamedTuple):
-    """A step, whole or in parts.
-
-    Attributes
-    ----------
-    velocity : Velocity
-        The mean velocity with the worst certificate of the programs and all their work. In parts
-        that is no bound of the error of one whole step, which nobody knows.
-    cause : str
-        Why the step cannot be taken in parts at all.
-    end : ndarray or None
-        The state at its end, where that is not a sum.
-    """
-
-    velocity: Velocity
-    cause: str = ""
-    end: np.ndarray | None = None
 
 
 class Velocities:

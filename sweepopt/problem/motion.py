@@ -2,7 +2,8 @@
 
     C(t) = center(t) + scale(t) S        or        C(t) = { w : G w <= h(t) } .
 
-A set that moves in another way gives a `Motion` that says so.
+A set that moves in another way gives a `Motion` that says so. Below: how far C(t) moves, its total
+variation in |.|_{A^-1} (MATH 1), and where it jumps.
 """
 
 from __future__ import annotations
@@ -10,14 +11,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
-from sweepopt.checks import vector
-from sweepopt.loads import Constant, History, Separable, VectorTable
+from sweepopt.checks import TIME_SLACK, vector
+from sweepopt.errors import InputError
+from sweepopt.linalg import Factor, dense
+from sweepopt.loads import (
+    Constant,
+    History,
+    Polynomial,
+    Separable,
+    Sine,
+    Table,
+    Triangle,
+    VectorTable,
+    breakpoints,
+)
 from sweepopt.sets import (
     AnySet,
+    Box,
     ConvexSet,
     Moving,
     MovingOffsets,
@@ -159,3 +175,163 @@ def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
     parts, named = (C.operands, C.histories) if isinstance(C, MovingSet) else ((), ())
     own = [phi for part in parts for phi in histories_of(part, inside)] or motion(C).histories
     return [*(named if inside else ()), *own]
+
+
+# ---- how far it moves ---------------------------------------------------------------------------
+
+BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
+CONTINUOUS = (Constant, Polynomial, Sine, Triangle)
+Distance = Callable[[np.ndarray], float]
+
+
+class Variation(float):
+    """The total variation of C(t), int |dC|, in |.|_{A^-1}.
+
+    Attributes
+    ----------
+    guaranteed : bool
+        Whether it is no less than the variation: where C(t) moves by data (`Separable`, `Table`
+        and other histories). Otherwise it is what the times that were given show of it.
+    """
+
+    guaranteed = False
+
+    @classmethod
+    def make(cls, value: float, guaranteed: bool) -> Variation:
+        variation = cls(value)
+        variation.guaranteed = guaranteed
+        return variation
+
+
+class Move(NamedTuple):
+    """A function that C(t) moves with, and the distance, at most, for a change of it."""
+
+    name: str
+    f: TimeFunction
+    distance: Distance
+
+
+def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
+    """The sum of the variations of all that C(t) moves with, or of the distances of members."""
+    moves, guaranteed = _moves(C, metric), metric.method == "factors"
+    if moves is None:
+        each = [C.distance_bound(D) for C, D in pairwise(map(C.at, times.tolist()))]
+        total = _in_metric(sum(np.inf if d is None else d for d in each), metric)
+        guaranteed = False
+    else:
+        total = 0.0
+        for _, f, distance in moves:
+            known = f.function is None and f.bounded
+            if isinstance(f.function, VectorTable):
+                total += f.function.variation(times[0], times[-1], distance)
+                continue
+            changes: Any = np.diff(f.at(times), axis=0)
+            if known:
+                changes = (phi.variation(times[0], times[-1]) * v for phi, v in f.terms)
+            total, guaranteed = total + sum(map(distance, changes)), guaranteed and known
+    if total == np.inf:
+        raise InputError(
+            "the distance of C(t) to C(s) is not known for this kind of set; write C as a Moving "
+            "set with a bounded shape, a box or a ball to have its variation"
+        )
+    return Variation.make(total, guaranteed)
+
+
+def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[float, str]]:
+    """Where data of center(t), scale(t) or h(t) change by a finite amount in no time, and by what.
+
+    Functions of which nothing is known are not looked at: they may have values on the grid only.
+    """
+    # between times that are the same to the library
+    sentences, width = [], TIME_SLACK * max(abs(start), abs(end))
+    for name, f, distance in _moves(C, metric) or ():
+        for t in _discontinuities(f.histories, start, end, width) if f.bounded else ():
+            before, after = f.at(np.clip([t - width, t + width], start, end))
+            size, change = distance(after - before), np.linalg.norm(after - before)
+            by = f"by {size:g}" if size < np.inf else "by an unknown distance"
+            sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
+    return sorted(sentences)
+
+
+def _discontinuities(
+    histories: list[Any], start: float, end: float, width: float
+) -> Iterator[float]:
+    """Breakpoints whose neighbourhood keeps its variation as it shrinks, one of each cluster."""
+    last = -np.inf
+    # others need more than this time for any change
+    may_jump = [
+        phi
+        for phi in histories
+        if not isinstance(phi, CONTINUOUS)
+        and not (isinstance(phi, Table) and np.diff(phi.times).min() > width)
+    ]
+
+    def change(t: float, within: float) -> float:
+        ends = np.clip([t - within, t + within], start, end)
+        return sum(phi.variation(*ends) for phi in may_jump)
+
+    for t in breakpoints(may_jump, start, end).tolist():
+        if t > last + width and change(t, width) > 0.5 * change(t, 8 * width):
+            last = t
+            yield t
+
+
+def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
+    """All that C(t) moves with, as data; None if C(t) moves in another way."""
+    moving = motion(C)
+    if moving.shape is None:
+        return None
+    if moving.offsets is not None:
+        of_offsets = _of_offsets(moving.shape.halfspaces().N, metric)
+        return [Move(moving.name, moving.offsets, of_offsets)]
+    # sup |sigma(S, z)| / |z|_A = sup |w|_{A^-1} over S, as |sigma(S, z)| <= sigma(S, +-z)
+    extent = 0.0 if moving.scale.constant else _magnitude(moving.shape, metric)
+    return [
+        Move(moving.name, moving.center, metric.dual_norm),
+        Move("scale", moving.scale, lambda r: float(abs(r[0])) * extent if r.any() else 0.0),
+    ]
+
+
+def _of_offsets(G: Any, metric: Factor) -> Distance:
+    """A bound of the distance of { w : G w <= h } to that with h + dh, of dh."""
+    rows = sp.csr_array(G)
+    rows.eliminate_zeros()
+    count = np.diff(rows.indptr)
+    if (count <= 1).all():  # intervals of single unknowns: their ends move
+
+        def of_ends(dh: np.ndarray) -> float:
+            m = np.zeros(metric.dim)
+            np.maximum.at(m, rows.indices, np.abs(dh[count > 0] / rows.data))
+            return _box(m, metric)
+
+        return of_ends
+    if np.linalg.matrix_rank(dense(rows)) < len(count):
+        return lambda dh: np.inf if dh.any() else 0.0
+    # independent rows: a translation by the least x with G x = dh
+    return Factor(dense(rows @ metric.M @ rows.T)).dual_norm
+
+
+def _box(m: np.ndarray, metric: Factor) -> float:
+    """At least |w|_{A^-1} for all |w_i| <= m_i: exact where no entry of A^-1 is negative."""
+    unknowns, total = np.flatnonzero(m), 0.0
+    for block in np.array_split(unknowns, unknowns.size // BLOCK + 1):
+        columns = np.zeros((block.size, metric.dim))
+        columns[np.arange(block.size), block] = m[block]
+        total += float((np.abs(metric.solve_many(columns)) @ m).sum()) if block.size else 0.0
+    return float(np.sqrt(total))
+
+
+def _magnitude(S: ConvexSet, metric: Factor) -> float:
+    """At least |w|_{A^-1} for all w of S; of a box its infinite ends, which do not move, aside."""
+    unknowns, part, shift = S.selection or (np.arange(S.dim), S, None)
+    if not isinstance(part, Box):
+        return _in_metric(S.magnitude(), metric)
+    ends, m = np.abs([part.lower, part.upper]), np.zeros(S.dim)
+    m[unknowns] = np.where(ends < np.inf, ends, 0.0).max(axis=0)
+    return _box(m, metric) + (0.0 if shift is None else metric.dual_norm(shift))
+
+
+def _in_metric(length: float, metric: Factor) -> float:
+    """|w|_{A^-1} at most, for |w| = length: inf where no coercivity is proved."""
+    beta = metric.smallest_eigenvalue()
+    return length / float(np.sqrt(beta)) if beta else (np.inf if length else 0.0)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, largest_ratio
-from sweepopt.problem.process import SweepingProcess
+
+if TYPE_CHECKING:
+    from sweepopt.problem import SweepingProcess
 
 
 class Norms:

@@ -30,7 +30,7 @@ from sweepopt.errors import (
     warn,
 )
 from sweepopt.linalg import EPS, Factor, is_semidefinite, kernel, largest_ratio
-from sweepopt.problem.variation import Variation, jumps, variation
+from sweepopt.problem.motion import Variation, jumps, variation
 from sweepopt.sets import (
     AnySet,
     ConvexSet,

@@ -11,7 +11,6 @@ from sweepopt.results.dataset import (
 )
 from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound
-from sweepopt.results.finer_grids import refine
 from sweepopt.results.solution import Pass, Solution
 
 __all__ = [
@@ -22,7 +21,6 @@ __all__ = [
     "Solution",
     "last_state",
     "netcdf_bytes",
-    "refine",
     "software",
     "solver_name",
 ]

@@ -41,11 +41,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.integrate import SCHEMES, Velocities
+from sweepopt.errors import Status
+from sweepopt.integrate import (
+    MEMORY,
+    SCHEMES,
+    Grid,
+    Run,
+    Velocities,
+    combination,
+    compensated_sum,
+    integrate,
+    saving,
+    time_grid,
+)
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
 from sweepopt.problem import Norms, SweepingProcess, motion
-from sweepopt.results.nodes import Nodes, companion, cubic, slopes_of_curves
+from sweepopt.results.interpolation import Nodes, cubic, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.sets import Polyhedron
 from sweepopt.velocity import Plan
@@ -269,3 +281,53 @@ def _difference(nodes: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
         - (1 - share) * u[:-1, None]
         - share * u[1:, None]
     )
+
+
+# ---- runs ---------------------------------------------------------------------------------------
+
+
+def companion(
+    process: SweepingProcess,
+    plan: Plan,
+    velocities: Velocities,
+    t: np.ndarray,
+) -> tuple[Nodes, np.ndarray]:
+    """Nodes of the plan's scheme on the grid t, and the velocities at them (the mean at the first).
+
+    Its last stage is the inclusion at the node itself, so that no difference of forces is divided
+    by A; its weights are positive, so that means of velocities stay in cones. A program that
+    misses its tolerance is in the residual.
+    """
+    times, mus = time_grid(None, t)
+    few, scheme = plan.process_of(process), plan.scheme
+    u, means, slopes = [few.u0], [], []
+    compensation, count = np.zeros(few.dim), len(scheme.c)
+    sets = few.C.at_many((times[:-1, None] + mus[:, None] * np.array(scheme.c)).ravel())
+    for i, (time, mu) in enumerate(zip(times[:-1].tolist(), mus.tolist(), strict=True)):
+        of_step = sets[i * count : (i + 1) * count]
+        stages = velocities.stages(scheme, time, mu, u[-1], sets=of_step)
+        if len(stages) == len(scheme.b):
+            mean, slope = combination(scheme.b, stages), stages[-1].z
+        else:  # a stage has no program
+            mean = slope = velocities.step(time, mu, u[-1]).velocity.z
+        following, compensation = compensated_sum(u[-1], mu * mean, compensation)
+        u.append(following)
+        means.append(mean)
+        slopes.append(slope)
+    velocity, ends = plan.velocity(np.array(means)), plan.velocity(np.array(slopes))
+    return Nodes(times, plan.state(np.array(u)), velocity), np.array([velocity[0], *ends])
+
+
+def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
+    """All nodes of a run on the grid t; where its programs miss tol, their residual is bounded."""
+    times, mus = time_grid(None, t)
+    grid = Grid(times, mus, plan, saving(None, times, process.dim, MEMORY))
+    for tol in (plan.tol, math.inf):
+        run = Run(grid, process.u0)
+        integrate(process, replace(plan, tol=tol), run)
+        if run.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if run.done == len(mus):
+            break
+    states = run.states()
+    return Nodes(times, states.u(slice(None)), states.velocity(slice(None)))

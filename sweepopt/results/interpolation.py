@@ -1,4 +1,4 @@
-"""Histories on intervals: interpolating polynomials, and bounds of the interpolation error.
+"""Polynomials in the place of histories, on intervals, and curves through the nodes of a run.
 
 A guaranteed bound must know a load at all times of an interval. Here a history is replaced on each
 interval by the polynomial of degree 4 through its values at the Gauss points. The error is zero for
@@ -18,7 +18,7 @@ import numpy as np
 from sweepopt.checks import instant
 from sweepopt.errors import InputError
 from sweepopt.loads import History, Separable, VectorTable, breakpoints
-from sweepopt.problem import Motion, TimeFunction
+from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
 
@@ -141,3 +141,56 @@ def _fifth_derivative(history: Any, begin: np.ndarray, end: np.ndarray) -> np.nd
             for k, c in enumerate(polynomial[5:], start=5):
                 bounds[some] += abs(c) * math.perm(k, 5) * reach ** (k - 5)
     return bounds
+
+
+# ---- curves through the nodes of a run, and the forces along them -------------------------------
+
+
+class Nodes(NamedTuple):
+    """Nodes of a trajectory, shape (n+1, dim), and the mean velocities between them.
+
+    Their differences would do, but rounding takes them out of cones, where sigma is infinite.
+    """
+
+    t: np.ndarray
+    u: np.ndarray
+    velocity: np.ndarray
+
+
+def slopes_of_curves(nodes: Nodes, slopes: np.ndarray) -> np.ndarray:
+    """Bernstein coefficients of v', shape (3, n, 3, dim), of three curves through the nodes.
+
+    Straight, and cubics: with the velocities at the nodes, and with the slopes of parabolas through
+    three nodes, which have more digits where A is next to nothing. Without one of them bounds were
+    up to 2.1, 2.1 and 1.9 times looser (84 stiff rows).
+    """
+    mean, h = nodes.velocity, np.diff(nodes.t)[:, None]
+    inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
+    parabolas = np.concatenate([mean[:1], inner, mean[-1:]])
+    curves = [np.repeat(mean[:, None], 3, axis=1)]
+    for ends in (slopes, parabolas):
+        first, last = ends[:-1], ends[1:]
+        curves.append(np.stack([first, 3 * mean - first - last, last], axis=1))
+    return np.array(curves)
+
+
+def force_along(
+    process: SweepingProcess,
+    nodes: Nodes,
+    slopes: np.ndarray,
+    i: np.ndarray,
+    theta: np.ndarray,
+) -> np.ndarray:
+    """A v' + B v at the shares theta, shape (m, k), of the steps i, where v' has these slopes."""
+    force = applied(process.A, basis(2, theta) @ slopes)
+    if process.B is not None:
+        h = (nodes.t[i + 1] - nodes.t[i])[:, None, None]
+        v = cubic(nodes.u[i], nodes.u[i + 1], h * slopes)
+        force += applied(process.B, basis(3, theta) @ v)
+    return force
+
+
+def cubic(begin: np.ndarray, end: np.ndarray, increments: np.ndarray) -> np.ndarray:
+    """Bernstein coefficients of curves, shape (m, 4, dim), from their ends and h times v'."""
+    first, last = begin + increments[:, 0] / 3, end - increments[:, 2] / 3
+    return np.stack([begin, first, last, end], axis=1)

@@ -28,11 +28,12 @@ from sweepopt.results.interpolation import (
     WEIGHTS,
     Interpolated,
     Intervals,
+    Nodes,
+    force_along,
     increments,
     interpolate,
     smooth_intervals,
 )
-from sweepopt.results.nodes import Nodes, force_along
 from sweepopt.sets import ROUNDING, ConvexSet, Polyhedron, basis, to_bernstein
 
 HALVES = np.array([0.0, 0.5, 1.0])

@@ -39,8 +39,8 @@ from sweepopt.io import put, writable
 from sweepopt.problem import SweepingProcess, sweeping
 from sweepopt.results.dataset import STATISTICS, netcdf_bytes, read_run, to_xarray
 from sweepopt.results.energy import Energy, energy_of
-from sweepopt.results.error_bound import ErrorBound, error_bound
-from sweepopt.results.nodes import Nodes, nodes_of
+from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
+from sweepopt.results.interpolation import Nodes
 from sweepopt.velocity import Plan, StepProgram, VelocityOf, compile_projection, make_plan
 
 if TYPE_CHECKING:
@@ -371,6 +371,7 @@ class Solution(Displayed):
     def _projection(self) -> VelocityOf:
         return compile_projection(self.plan, self.process.metric)
 
+    @checks.with_checks
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 

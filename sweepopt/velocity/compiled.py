@@ -11,23 +11,25 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination, Factor, is_solid
-from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade
 from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, at_rest, one_unknown
 from sweepopt.velocity.cones import Cones
-from sweepopt.velocity.plan import Plan
 from sweepopt.velocity.program import untranslated
-from sweepopt.velocity.proportional import Reduction
 from sweepopt.velocity.refinement import by_solve, refined
 from sweepopt.velocity.return_mapping import ReturnMapping
+
+if TYPE_CHECKING:
+    from sweepopt.checks import Matrix
+    from sweepopt.problem import SweepingProcess
+    from sweepopt.velocity.plan import Plan
+    from sweepopt.velocity.proportional import Reduction
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Velocity]
 EVERY: Any = slice(None)

@@ -12,8 +12,6 @@ import scipy.sparse as sp
 from sweepopt.display import Displayed, Rows
 from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.linalg import factor_bytes, is_diagonal
-from sweepopt.problem import SweepingProcess
-from sweepopt.sets import ConvexSet
 from sweepopt.velocity.cones import blocks
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.proportional import Reduction, reduce
@@ -22,6 +20,8 @@ from sweepopt.velocity.solvers import NEWTON, Solver, choose
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
+    from sweepopt.problem import SweepingProcess
+    from sweepopt.sets import ConvexSet
 
 PATHS = {
     "auto": "the first that applies",

@@ -18,8 +18,7 @@ from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, first_root, histories
 from sweepopt.integrate.exact.face import Face, face_after
 from sweepopt.integrate.exact.rows import Rows, rows_of
-from sweepopt.integrate.record import Run
-from sweepopt.integrate.step import Step
+from sweepopt.integrate.record import Run, Step
 from sweepopt.linalg import EPS, Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point, matrix
