@@ -345,8 +345,8 @@ class SweepingProcess(Displayed):
                     "so.compatible_start(process) for example"
                 )
         warn(
-            f"{where}. The solution exists and starts with a velocity; for a start at rest give a u0 "
-            f"with B u0 in C({t:g}), or a load that grows from B u0",
+            f"{where}. The solution exists and starts with a velocity; for a start at rest give a "
+            f"u0 with B u0 in C({t:g}), or a load that grows from B u0",
             InitialStateWarning,
         )
         return True

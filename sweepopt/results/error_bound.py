@@ -154,7 +154,9 @@ def error_bound(
         work -= len(t) - 1
         nodes, slopes = companion(process, plan, velocities, t)
         curves = slopes_of_curves(nodes, slopes)
-        if curved and largest < math.inf:  # the one that is best on most steps of bounded sets
+        # straight at A = 0, else the cubic with the velocities at the nodes, which are best on most
+        # steps; of unbounded sets all, as velocities of a cubic may have no support function
+        if curved and largest < math.inf:
             curves = curves[:1] if norms.weak else curves[1:2]
         each, reason = residuals(process, norms, nodes, curves, variation)
         growth = _growth(norms, t, each)
