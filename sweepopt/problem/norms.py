@@ -80,9 +80,10 @@ class Norms:
 
 def _dual(metric: Factor | None, w: np.ndarray) -> np.ndarray:
     rows = w.reshape(-1, w.shape[-1])
-    squared = np.where(rows.any(axis=1), np.inf, 0.0)
-    if metric is not None and squared.any():
-        squared = (rows * metric.solve_many(rows)).sum(axis=1)
+    some = rows.any(axis=1)
+    squared = np.where(some, np.inf, 0.0)
+    if metric is not None and some.any():
+        squared[some] = (rows[some] * metric.solve_many(rows[some])).sum(axis=1)
     return np.sqrt(np.maximum(squared, 0.0)).reshape(w.shape[:-1])
 
 

@@ -157,21 +157,18 @@ class Nodes(NamedTuple):
     velocity: np.ndarray
 
 
-def slopes_of_curves(nodes: Nodes, slopes: np.ndarray) -> np.ndarray:
-    """Bernstein coefficients of v', shape (3, n, 3, dim), of three curves through the nodes.
+def slopes_of_curves(nodes: Nodes, slopes: np.ndarray, chosen: slice) -> np.ndarray:
+    """Bernstein coefficients of v', shape (c, n, 3, dim), of c curves through the nodes.
 
-    Straight, and cubics: with the velocities at the nodes, and with the slopes of parabolas through
-    three nodes, which have more digits where A is next to nothing. Without one of them bounds were
-    up to 2.1, 2.1 and 1.9 times looser (84 stiff rows).
+    Chosen from three: straight, and cubics with the velocities at the nodes or with the slopes of
+    parabolas through three nodes, which have more digits where A is next to nothing. Without one of
+    them bounds were up to 2.1, 2.1 and 1.9 times looser (84 stiff rows).
     """
     mean, h = nodes.velocity, np.diff(nodes.t)[:, None]
     inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
     parabolas = np.concatenate([mean[:1], inner, mean[-1:]])
-    curves = [np.repeat(mean[:, None], 3, axis=1)]
-    for ends in (slopes, parabolas):
-        first, last = ends[:-1], ends[1:]
-        curves.append(np.stack([first, 3 * mean - first - last, last], axis=1))
-    return np.array(curves)
+    ends = (mean, mean), (slopes[:-1], slopes[1:]), (parabolas[:-1], parabolas[1:])
+    return np.array([np.stack([a, 3 * mean - a - b, b], axis=1) for a, b in ends[chosen]])
 
 
 def force_along(

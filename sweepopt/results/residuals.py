@@ -41,6 +41,9 @@ HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
 PARTS = 3
 """Of a step, of curved sets: with 2 and 4 bounds are 0.7 and 1.3 times as close, and take 0.8 and
 1.3 times as long."""
+VARIES = 8
+"""Of mu Lam: on no step below it int |r'| makes the bound of |e|_B smaller than int |r|^2 / 2 does
+if r turns once: with |r'| >= |r| / mu and y >= sqrt(S) their ratio is at least sqrt(8 / mu Lam)."""
 SAME = 1e-12  # of the largest force: points that are nearer are one, which projections round to
 CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
 
@@ -53,7 +56,7 @@ class Residuals(NamedTuple):
     gaps, squares : ndarray
         int 2 G and int |r|^2; squares are infinite where A is singular.
     turning : ndarray
-        int |r'|, in the dual norm of B.
+        int |r'|, in the dual norm of B; infinite where mu Lam is at most VARIES.
     begin, end : ndarray, shape (c, n, dim)
         r at the ends of each step.
     error : ndarray
@@ -204,9 +207,9 @@ def _bounds(
     of_all = (np.concatenate(some, axis=1) for some in zip(*parts, strict=True))
     gaps, squares, turning, begin, end, error = of_all
     first = np.searchsorted(step, np.arange(len(nodes.velocity)))
-    jumps = norms.dual_B(begin[:, 1:] - end[:, :-1]) + error[:, 1:] + error[:, :-1]
-    jumps[:, first[1:] - 1] = 0  # only those at cuts inside of steps
-    turning[:, 1:] += jumps
+    cuts = np.setdiff1d(np.arange(1, len(step)), first)  # inside of steps, where r may jump
+    jumps = norms.dual_B(begin[:, cuts] - end[:, cuts - 1])
+    turning[:, cuts] += jumps + error[:, cuts] + error[:, cuts - 1]
     gaps, squares, turning = (np.add.reduceat(x, first, axis=1) for x in (gaps, squares, turning))
     last = np.append(first[1:], len(step)) - 1
     error = np.maximum.reduceat(error, first, axis=1)
@@ -226,6 +229,7 @@ def _on_intervals(
     """Those of curves on intervals, each with its slopes of shape (3, dim)."""
     i, a, b = model.intervals
     h, length = nodes.t[i + 1] - nodes.t[i], b - a
+    stiff = (h * norms.Lam > VARIES) | norms.weak
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
     force = force_along(process, nodes, slopes, i, theta) - center.values
@@ -238,20 +242,20 @@ def _on_intervals(
     elif offsets is None:
         s = _curve_in_shape(model, aim, scale.values)
         w = scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
-        # a curve that is moved has no bound of int |r'|, which is what counts in stiff steps
-        may_move = ~(norms.weak | (h * norms.Lam > 2))
-        gaps, moved = _gaps_in_shape(norms, model, scale, s, directions, may_move)
+        # a curve that is moved has no bound of int |r'|
+        gaps, moved = _gaps_in_shape(norms, model, scale, s, directions, ~stiff)
         error, error_B, turning = _interpolation_errors(norms, model.motion, s, center, scale)
         error = error + moved / math.sqrt(norms.beta)
     else:
         w, gaps = _within_rows(model, aim, directions, offsets)
     r = force - w
-    # Minkowski: the interpolation error adds up in the norm
-    squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + error) ** 2
-    turning = np.sqrt(norms.dual_B(DERIVATIVE @ r) ** 2 @ WEIGHTS) + turning
-    turning[moved > 0] = np.inf
+    squares, varies = np.full((2, len(a)), np.inf)
+    if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
+        squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + error) ** 2
+    varies[stiff] = np.sqrt(norms.dual_B(DERIVATIVE @ r[stiff]) ** 2 @ WEIGHTS) + turning[stiff]
+    varies[moved > 0] = np.inf
     first, last = np.moveaxis(TO_BERNSTEIN[[0, -1]] @ r, 1, 0)
-    return Residuals(2 * length * gaps, squares, turning, first, last, error_B)
+    return Residuals(2 * length * gaps, squares, varies, first, last, error_B)
 
 
 def _gaps_in_shape(
