@@ -103,14 +103,12 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
         or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
-        "auto": sdirk2 where step * Lam <= 2 for the longest step, with `SweepingProcess.Lam` the
-        largest eigenvalue of A^-1 B, else sdirk32; in parts where a step contains breakpoints of a
-        load that is data, unless they are too many; with Adaptive sdirk2.
-        The plan says which one and why. By name, on the steps as they are: "catching-up",
+        "auto": sdirk32, in parts where a step contains breakpoints of a load that is data, unless
+        they are too many; with Adaptive sdirk2. By name, on the steps as they are: "catching-up",
         "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs
-        a step, 7 where step * Lam > 2 and much stops); "exact" for polyhedra and loads as data
-        (`Separable`): closed forms between switches that are located, in `Solution.exact` also
-        between the nodes.
+        a step, 7 where step * Lam > 2 and much stops; `SweepingProcess.Lam` is the largest
+        eigenvalue of A^-1 B); "exact" for polyhedra and loads as data (`Separable`): closed forms
+        between switches that are located, in `Solution.exact` also between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy:NAME" for any that cvxpy knows, such as
         "cvxpy:scs", or an object with settings: ``OSQP(tol=1e-10)``.

@@ -84,7 +84,7 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
         "unknowns",
         "nonsmooth unknowns",
         "left out            no elasticity: B is not formed",
-        "scheme              sdirk2",
+        "scheme              sdirk32",
         "tolerance           1e-06",
         "The run reached t_end and every step is certified within tol.",
         "of the contact slips",
@@ -94,7 +94,7 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
     ):
         assert words in shown.out
     assert "30/30" in shown.err
-    assert summary_in(results)["settings"]["scheme"] == "sdirk2"
+    assert summary_in(results)["settings"]["scheme"] == "sdirk32"
     files = summary_in(results)["files"]
     found = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
     assert found == {*files, "summary.json"}

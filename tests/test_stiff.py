@@ -41,11 +41,22 @@ def test_auto_is_at_most_twice_the_best_of_three_on_many_seeds(body, load, stiff
 
 
 @pytest.mark.parametrize("load", LOADS)
-def test_below_two_auto_is_sdirk2_which_neither_rings_nor_is_far_from_the_best(load):
-    study = stiff_bodies([0], ["chain"], [load], (0.01, 1.9), [50], bounds=False)
-    for row in study:
-        assert row.scheme == "sdirk2"
+def test_below_two_auto_neither_rings_nor_is_far_from_the_best(load):
+    for row in stiff_bodies([0], ["chain"], [load], (0.01, 1.9), [50], bounds=False):
         check(row)
+
+
+def test_auto_is_near_the_best_of_three_where_few_switches_of_a_soft_mass_count():
+    # of 150 sines and 150 tables sdirk2 was above twice the best in 16
+    for load in LOADS:
+        for seed in range(20):
+            process, how = make("one mass", load, seed, 1e-2, 30), {"t_end": 1.0, "steps": 30}
+            exact = so.solve(process, **how, scheme="exact").u
+            auto, *best = (
+                np.abs(so.solve(process, **how, scheme=scheme).u - exact).max()
+                for scheme in ("auto", *BEST_OF)
+            )
+            assert auto <= 2 * min(best)
 
 
 @pytest.mark.parametrize("seed", [1, 13])
@@ -87,7 +98,7 @@ def test_breakpoints_anywhere_in_steps_favour_none_of_the_three(
 
 def test_a_bound_that_is_a_thousandth_above_the_error_is_not_below_that_of_the_reference():
     # a fine run in place of the exact one is off by more
-    for row in stiff_bodies([1], ["one mass"], ["sines"], (2.0,), [150]):
+    for row in stiff_bodies([2], ["one mass"], ["sines"], (0.5,), [150]):
         check(row)
         assert 1.0 <= row.bound_over_error <= 1.002
 

@@ -13,10 +13,9 @@ from sweepopt.integrate.grid import (
     contraction,
     evaluation_times,
     meeting_breakpoints,
-    time_grid,
 )
 from sweepopt.integrate.record import MEMORY
-from sweepopt.integrate.schemes import Scheme, automatic, choose
+from sweepopt.integrate.schemes import AUTOMATIC, Scheme, choose
 from sweepopt.io import decoded, encoded
 from sweepopt.loads import Table
 from sweepopt.problem import SweepingProcess, histories_of
@@ -104,11 +103,10 @@ class SolveOptions:
             raise InputError("steps must be an object, got a class; call it: so.Adaptive(tol)")
 
     def tableau(self, process: SweepingProcess) -> Scheme:
-        """The scheme; "auto" chooses by the longest step, or for steps that adapt."""
+        """The scheme; "auto" is another one for steps that adapt."""
         name, adaptive = self.scheme, isinstance(self.steps, Adaptive)
         if isinstance(name, str) and name == "auto" and not adaptive:
-            mu = float(time_grid(self.t_end, self.steps)[1].max())
-            return automatic(process, mu)
+            return AUTOMATIC
         scheme = choose(name, process.coercive)
         if adaptive or scheme.exact:
             process.refuse_state("Adaptive" if adaptive else "scheme 'exact'")
