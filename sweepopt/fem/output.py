@@ -21,6 +21,7 @@ import numpy as np
 
 from sweepopt import io
 from sweepopt.fem.contact import Slip, signed_lengths, slip_of
+from sweepopt.plot import MOST_FRAMES, even_steps
 from sweepopt.results import netcdf_bytes, software, solver_name
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 SUMMARY = "summary.json"
 RESULTS = ("*.nc", "*.png", "*.gif", "*.mp4", "vtu/*.series", "vtu/*.vtu")
 """Files of a run; those that the summary lists are removed by the next run in the same folder."""
-MOST_VTU = 50
-"""VTU files of a run: enough for a film, few enough for a large mesh."""
 VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra10")}
 """Cells of VTK files on meshes of dimension 1, 2 and 3."""
 SI = {
@@ -263,7 +262,7 @@ def write_netcdf(report: Report, path: Path) -> None:
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:
-    """Write `vtu/step_*.vtu` at even times, at most 50, and the series that ParaView opens.
+    """Write `vtu/step_*.vtu` of the start and of 40 even times, and the series for ParaView.
 
     Point data are displacement and velocity (of the step that ends there; of the first step at the
     start), cell data the number of the material in the summary's `materials`, 0 for none, and the
@@ -290,8 +289,8 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         mesh.cell_data = {"material": [material]}
     folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
-    last, times = len(solution.steps), {}
-    chosen = np.unique(np.linspace(0, last, MOST_VTU).round().astype(int)).tolist()
+    times = {}
+    chosen = [0, *(even_steps(solution, MOST_FRAMES) + 1).tolist()]
     in_cells = {
         name: values
         for name in ("stress", "plastic_strain")

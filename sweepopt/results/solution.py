@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt import checks
-from sweepopt.display import Displayed, Rows, svg
+from sweepopt.display import Displayed, Rows, evenly, svg
 from sweepopt.errors import (
     BoundWarning,
     CheckpointWarning,
@@ -138,7 +138,7 @@ class Solution(Displayed):
             yield "error bound", repr(bound)
 
     def _picture(self) -> str:
-        some = np.unique(np.linspace(0, len(self.steps), 200).astype(int))
+        some = evenly(len(self.t), 200)
         t, u = self.t[some], self.states.u(some)[:, :4]
         span = f"{u.min():.3g} to {u.max():.3g} over t = {t[0]:g} to {t[-1]:g}"
         names = "u[0]" if u.shape[1] == 1 else f"u[0] to u[{u.shape[1] - 1}]"
