@@ -298,7 +298,7 @@ def _mark(report: Report, panel: Any, step: int, points: Array, **look: Any) -> 
     if report.slip is not None:
         spots = points[report.slip.contact.node].T
         # all casings first: they would hide neighbours
-        for size, colours in ((32, "white"), (24, _colours(report, step))):
+        for size, colours in ((50, "white"), (24, _colours(report, step))):
             panel.scatter(*spots, s=size, c=colours, lw=0, zorder=2, **look)
 
 

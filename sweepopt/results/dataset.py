@@ -9,7 +9,8 @@ import hashlib
 import json
 import os
 import uuid
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from io import BytesIO, FileIO
 from os import PathLike
@@ -49,19 +50,22 @@ class _Storage(FileIO):
     def write(self, data: Any) -> int:
         rest = memoryview(data).cast("B")
         size = len(rest)
-        while rest and not self.failure:
-            rest = rest[self._unless_full(super().write, rest) or 0 :]
+        with self._failing_once():
+            while rest and not self.failure:
+                rest = rest[super().write(rest) :]
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        return self._unless_full(super().truncate, size) or 0
+        with self._failing_once():
+            return 0 if self.failure else super().truncate(size)
+        return 0
 
-    def _unless_full(self, action: Callable[[Any], int | None], value: Any) -> int | None:
+    @contextmanager
+    def _failing_once(self) -> Iterator[None]:
         try:
-            return None if self.failure else action(value)
+            yield
         except OSError as error:
             self.failure = error
-            return None
 
 
 class NetCDFSink:
@@ -100,7 +104,7 @@ class NetCDFSink:
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self._steps, self._waiting = 0, list[np.ndarray]()
+        self._steps, self._waiting = 0, list[tuple[float, np.ndarray, np.ndarray]]()
         self._u0 = u0
 
     def put(self, step: StepInfo) -> bool:
@@ -109,7 +113,7 @@ class NetCDFSink:
         The answer is whether the file cannot be written.
         """
         # a copy: a callback may change the state that it sees
-        self._waiting.append(np.concatenate([[step.t], step.u, step.velocity]))
+        self._waiting.append((step.t, step.u.copy(), step.velocity.copy()))
         if len(self._waiting) == self._most:
             self._write()
         return self.storage.failure is not None
@@ -139,7 +143,7 @@ class NetCDFSink:
         start, variables = self._steps, self._file.variables
         end = start + len(self._waiting)
         if end > start and not self.storage.failure:
-            t, u, velocity = self._columns()
+            t, u, velocity = zip(*self._waiting, strict=True)
             self._file.resize_dimension("time", end + 1)
             self._file.resize_dimension("step", end)
             variables["time"][start + 1 :] = t
@@ -150,18 +154,13 @@ class NetCDFSink:
             # one assignment at the end: what Ctrl-C cuts short is written again by `close`
             self._steps, self._waiting = end, []
 
-    def _columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times, states and velocities of the steps that wait."""
-        t, u, velocity = np.split(np.array(self._waiting), [1, 1 + self._u0.size], axis=1)
-        return t[:, 0], u, velocity
-
     def states(self) -> States:
         """The states in the file, read when they are asked for; those that wait if it failed."""
         self._write()
         if self.storage.failure:
-            _, u, velocity = self._columns()
-            steps, nodes = self._steps + np.arange(len(u)), np.vstack([self._u0, u])
-            return States(steps, nodes.__getitem__, velocity.__getitem__)
+            _, u, velocity = zip(*self._waiting, strict=True)
+            steps, nodes = self._steps + np.arange(len(u)), np.vstack([self._u0, *u])
+            return States(steps, nodes.__getitem__, np.array(velocity).__getitem__)
 
         def read(name: str, i: Index) -> np.ndarray:
             if not self._path.is_file():
@@ -245,13 +244,16 @@ def _dump(dataset: xr.Dataset, file: Any) -> None:
     dataset.dump_to_store(H5NetCDFStore(file), encoding=encoding)
 
 
-def read_run(path: str | PathLike[str]) -> xr.Dataset:
-    """What `to_xarray` made of a run, from the file that it was written to.
+@contextmanager
+def open_run(path: str | PathLike[str]) -> Iterator[xr.Dataset]:
+    """What `to_xarray` or `sweepopt run` made of a run, from the file that it was written to.
 
     Raises
     ------
     InputError
-        If there is no such file, or it is none of a run.
+        If there is no such file.
+    MissingExtraError
+        If h5netcdf or xarray is not installed.
     DamagedFileError
         If it is not as it was written, by its checksum; or by what HDF5 sees, where another program
         wrote it again and left the checksum out.
@@ -264,41 +266,10 @@ def read_run(path: str | PathLike[str]) -> xr.Dataset:
         raise InputError(f"path: there is no file {path}")
     _check(file_of_run)
     try:
-        with xarray.open_dataset(file_of_run, engine="h5netcdf") as file:
-            run = file.load()
+        with xarray.open_dataset(file_of_run, engine="h5netcdf") as run:
+            yield run
     except Exception as error:  # h5py has no list of what it raises
         raise DamagedFileError(f"{path} is damaged or no NetCDF file ({error})") from error
-    if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
-        raise InputError(f"{path} is no file of sol.save or save=: it has no u, status and scheme")
-    return run
-
-
-def last_state(path: Path, *names: str) -> dict[str, Any]:
-    """Those of the named variables and attributes that a run's NetCDF file has, at the last time.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, or has not the first of them.
-    MissingExtraError
-        If xarray is not installed.
-    """
-    with brought_by("fem"):
-        import xarray
-    try:
-        _check(path)
-        with xarray.open_dataset(path, engine="h5netcdf") as run:
-            last, there = run.isel(time=-1, missing_dims="ignore"), ", ".join(map(str, run))
-            kept: dict[str, Any] = {name: last[name].values for name in names if name in last}
-            kept |= {name: run.attrs[name] for name in names if name in run.attrs}
-    except Exception as error:  # h5py has no list of what it raises
-        raise InputError(f"{path} is no NetCDF file of a run ({error})") from error
-    if names[0] not in kept:
-        raise InputError(
-            f"{path} has {there or 'no variables'}, but not the variable {names[0]}, of all "
-            "unknowns; give solution.nc of sweepopt run, or a file of save= or to_xarray"
-        )
-    return kept
 
 
 # ---- datasets -----------------------------------------------------------------------------------
@@ -355,13 +326,18 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
         },
     )
     run = run.assign(solver=run.solver.astype(object)).set_coords("step_end")
-    fields = solution.process.fields
-    if not fields:
+    if not (fields := solution.process.fields):
         return run
-    names = np.full(solution.process.dim, "", dtype=object)
+    names = field_names(fields, solution.process.dim)
+    return run.assign_coords(field=("unknown", names, {"long_name": "field of the unknown"}))
+
+
+def field_names(fields: Mapping[str, Any], size: int) -> np.ndarray:
+    """The name of each unknown's field; "" where it is in none."""
+    names = np.full(size, "", dtype=object)
     for name, part in fields.items():
         names[part] = name
-    return run.assign_coords(field=("unknown", names, {"long_name": "field of the unknown"}))
+    return names
 
 
 def solver_name(solution: Solution) -> str:

@@ -37,7 +37,7 @@ from sweepopt.integrate import (
 )
 from sweepopt.io import put, writable
 from sweepopt.problem import SweepingProcess, sweeping
-from sweepopt.results.dataset import STATISTICS, netcdf_bytes, read_run, to_xarray
+from sweepopt.results.dataset import STATISTICS, netcdf_bytes, open_run, to_xarray
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
 from sweepopt.results.interpolation import Nodes
@@ -533,7 +533,11 @@ class Solution(Displayed):
         >>> bool((same.u == sol.u).all()), same.message == sol.message
         (True, True)
         """
-        run = read_run(path)
+        with open_run(path) as file:
+            run = file.load()
+        if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
+            wanted = "it has no u, status and scheme"
+            raise InputError(f"{path} is no file of sol.save or save=: {wanted}")
         u, velocity = run.u.values, run.velocity.values
         steps = run["kept_step" if "kept_step" in run.dims else "step"].values
         names, number = np.unique(run.solver.values.astype(str), return_inverse=True)
