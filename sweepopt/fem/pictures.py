@@ -220,13 +220,12 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     """
     body, t = scene.discretisation, solution.t
     u = solution.u[:, : body.dim]
+    springs: Any = [one for one in scene.effects if getattr(one, "moved", None) is not None]
     curves = []
-    for effect in scene.effects:
-        if (moved := getattr(effect, "moved", None)) is not None:
-            d, spring = np.array(list(map(moved, t))), effect
-            ((_, k),) = spring.contribute(body).loads
-            force = d * (k @ body.restrict(spring.shift(body))) - u @ k
-            curves.append((d, force, ("displacement of the far end", "force of the foundation")))
+    for spring in springs:
+        d, ((_, k),) = np.array(list(map(spring.moved, t))), spring.contribute(body).loads
+        force = d * (k @ body.restrict(spring.shift(body))) - u @ k
+        curves.append((d, force, ("displacement of the far end", "force of the foundation")))
     if curves:
         return curves
     if scene.lifts:

@@ -8,6 +8,8 @@ from sweepopt.integrate.checkpoint import (
     CheckpointWriter,
     StoredRun,
     checkpoint_writer,
+    differences,
+    fingerprint,
     newest,
     require_same_problem,
 )
@@ -18,7 +20,6 @@ from sweepopt.integrate.field import (
     step_program,
     velocity_field,
 )
-from sweepopt.integrate.fingerprint import differences, fingerprint
 from sweepopt.integrate.grid import (
     check_stability,
     divided,
