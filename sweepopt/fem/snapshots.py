@@ -82,8 +82,8 @@ def displacement(report: Report, steps: Array) -> Field:
     """The displacement of a body in the plane, or over x along a line, and where it slips."""
     from matplotlib.collections import LineCollection
 
-    body, legend = report.scene.discretisation, states_of(report.slip)
-    u, x = signed_lengths(_displacement(report, steps)), body.points
+    body, legend = report.body, states_of(report.slip)
+    u, x = signed_lengths(report.at("displacement", steps + 1)), body.points
     if body.mesh.dim() == 1:
         order, x = np.argsort(x[:, 0]), np.stack([np.broadcast_to(x[:, 0], u.shape), u], axis=2)
 
@@ -113,16 +113,15 @@ def displacement(report: Report, steps: Array) -> Field:
 
 def surface(report: Report, steps: Array) -> Field:
     """The surface of a solid, with the size of its displacement."""
-    size = signed_lengths(_displacement(report, steps))
-    faces = size[:, report.scene.discretisation.triangles].mean(axis=2)
+    size = signed_lengths(report.at("displacement", steps + 1))
+    faces = size[:, report.body.triangles].mean(axis=2)
     return _deformed(report, steps, faces, SIZE, "length")
 
 
 def stress(report: Report, steps: Array) -> Field:
     """The stress in the cells of a section, or in those at the surface of a solid."""
-    mesh = report.scene.discretisation.mesh
-    values: Any = report.scene.stress(report.solution, report.solution.t[1:][steps])
-    name = "shear stress" if report.scene.discretisation.components == 1 else "von Mises stress"
+    mesh, values = report.body.mesh, report.at("stress", steps + 1)
+    name = "shear stress" if report.body.components == 1 else "von Mises stress"
     if mesh.dim() == 2:
         return _in_cells(report, values, name, "traction", "YlOrRd", {})
     behind = mesh.f2t[0, mesh.boundary_facets()]
@@ -141,8 +140,8 @@ def _deformed(
     from matplotlib.colors import Normalize, to_rgba_array
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    body, contact = report.scene.discretisation, report.scene.contact
-    u, triangles = _displacement(report, steps), body.triangles
+    body, contact = report.body, report.scene.contact
+    u, triangles = report.at("displacement", steps + 1), body.triangles
     factor = 0.1 * np.ptp(body.points, axis=0).max() / (signed_lengths(u).max() or 1.0)
     moved, look = body.points + factor * u, colours_of(faces, rising)
     faces = np.tile(faces, len(triangles) // faces.shape[1])  # the parts of a P2 element
@@ -190,7 +189,7 @@ def flow(report: Report, steps: Array) -> Field:
     """
     from matplotlib.colors import ListedColormap
 
-    body = report.scene.discretisation
+    body = report.body
     velocity = report.scene.velocity(report.solution)[steps]
     look, flat = colours_of(velocity), ListedColormap([STICK, PLUG])
 
@@ -207,8 +206,8 @@ def flow(report: Report, steps: Array) -> Field:
 
 def yielding(report: Report, steps: Array) -> Field:
     """Plastic strains of a body in the plane; grey where there is none yet, to show their front."""
-    strain: Any = report.scene.plastic_strain(report.solution, report.solution.t[1:][steps])
-    strain, legend = np.ma.masked_equal(strain, 0.0), {STICK: "elastic so far"}
+    strain = np.ma.masked_equal(report.at("plastic_strain", steps + 1), 0.0)
+    legend = {STICK: "elastic so far"}
     return _in_cells(report, strain, "plastic strain", "", "plasma_r", legend)
 
 
@@ -216,7 +215,7 @@ def _in_cells(
     report: Report, values: Any, label: str, quantity: str, rising: str, legend: Mapping[str, str]
 ) -> Field:
     """Values in the cells of a body in the plane."""
-    body, look = report.scene.discretisation, colours_of(values, rising)
+    body, look = report.body, colours_of(values, rising)
     parts = len(body.triangles) // values.shape[1]  # of a P2 element
 
     def draw(panel: Any, i: int) -> Any:
@@ -279,14 +278,9 @@ def states_of(slip: Slip | None) -> dict[str, str]:
     return {STATE_COLOURS[k]: name for k, name in present.items()}
 
 
-def _displacement(report: Report, steps: Array) -> Array:
-    """That of the body at the ends of the steps."""
-    return report.scene.displacement(report.solution, report.solution.t[1:][steps])
-
-
 def _fill(report: Report, panel: Any, *values: Array, **look: Any) -> Any:
     """Values at the nodes of a body in the plane, or `facecolors` of its triangles."""
-    body = report.scene.discretisation
+    body = report.body
     panel.set_aspect("equal")
     shading = "gouraud" if values else "flat"
     x, y = body.points.T
