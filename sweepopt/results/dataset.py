@@ -94,13 +94,12 @@ class NetCDFSink:
         self._file.attrs["unknowns_digest"] = unknowns_digest
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
         self._most = max(int(BLOCK // (16 * u0.size)), 1)
-        rows = min(self._most, 64), u0.size
-        for name, dims, chunks, words in (
-            ("time", ("time",), (1024,), "time"),
-            ("u", ("time", "unknown"), rows, U),
-            ("velocity", ("step", "unknown"), rows, VELOCITY),
+        for name, dims, words in (
+            ("time", ("time",), "time"),
+            ("u", ("time", "unknown"), U),
+            ("velocity", ("step", "unknown"), VELOCITY),
         ):
-            created = self._file.create_variable(name, dims, float, chunks=chunks, fletcher32=True)
+            created = self._file.create_variable(name, dims, float, fletcher32=True)
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
