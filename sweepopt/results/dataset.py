@@ -141,14 +141,15 @@ class NetCDFSink:
     def _write(self) -> None:
         start, variables = self._steps, self._file.variables
         end = start + len(self._waiting)
-        if end > start and not self.storage.failure:
-            t, u, velocity = zip(*self._waiting, strict=True)
-            self._file.resize_dimension("time", end + 1)
-            self._file.resize_dimension("step", end)
-            variables["time"][start + 1 :] = t
-            variables["u"][start + 1 :] = u
-            variables["velocity"][start:] = velocity
-            self._file.flush()  # so that a failure is seen before the block is forgotten
+        if end == start or self.storage.failure:
+            return
+        t, u, velocity = zip(*self._waiting, strict=True)
+        self._file.resize_dimension("time", end + 1)
+        self._file.resize_dimension("step", end)
+        variables["time"][start + 1 :] = t
+        variables["u"][start + 1 :] = u
+        variables["velocity"][start:] = velocity
+        self._file.flush()  # so that a failure is seen before the block is forgotten
         if not self.storage.failure:
             # one assignment at the end: what Ctrl-C cuts short is written again by `close`
             self._steps, self._waiting = end, []
@@ -167,13 +168,11 @@ class NetCDFSink:
             package = netcdf_package()
             try:
                 with package.File(self._path, "r") as file:
-                    run, variable = file.attrs.get("run"), file.variables[name]
-                    if run == self._run and isinstance(i, slice):
-                        return np.asarray(variable[i])
-                    if run == self._run:  # a file has its rows read in order, each once
+                    if file.attrs.get("run") == self._run:
+                        variable = file.variables[name]
                         wanted = np.arange(variable.shape[0])[i]
-                        rows, where = np.unique(wanted, return_inverse=True)
-                        return np.asarray(variable[rows])[where.reshape(wanted.shape)]
+                        rows = np.unique(wanted)  # a file has them read in order, each once
+                        return np.asarray(variable[rows])[np.searchsorted(rows, wanted)]
             except Exception as error:  # h5py has no list of what it raises
                 raise DamagedFileError(
                     f"{self._path} is damaged ({error}); its states are lost, run again"
@@ -218,10 +217,9 @@ def _check(path: Path) -> None:
     A file that another program wrote has no checksum, and nothing behind the end that HDF5 knows.
     """
     content = np.memmap(path, np.uint8, "r") if path.stat().st_size else np.zeros(0, np.uint8)
-    size = hashlib.sha256().digest_size
-    mark, end = len(MARK) + size, content[-size:].tobytes()
-    if content[-mark:-size].tobytes() == MARK:
-        if hashlib.sha256(content[:-mark].data).digest() != end:
+    before, last = np.split(content, [-len(MARK) - hashlib.sha256().digest_size])
+    if last.tobytes().startswith(MARK):
+        if hashlib.sha256(before.data).digest() != last[len(MARK) :].tobytes():
             raise DamagedFileError(f"{path} is damaged: its checksum is not that of what is in it")
         return
     head = content[:48].tobytes()
@@ -236,10 +234,12 @@ def _dump(dataset: xr.Dataset, file: Any) -> None:
     from xarray.backends import H5NetCDFStore
 
     packed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-    new = [name for name, x in dataset.variables.items() if x.ndim and name not in file.variables]
     # text as characters, as strings have no checksum
-    kinds = {name: {"dtype": "S1"} if dataset[name].dtype.kind in "OU" else {} for name in new}
-    encoding = {name: packed | kind for name, kind in kinds.items()}
+    encoding = {
+        name: packed | ({"dtype": "S1"} if x.dtype.kind in "OU" else {})
+        for name, x in dataset.variables.items()
+        if x.ndim and name not in file.variables
+    }
     dataset.dump_to_store(H5NetCDFStore(file), encoding=encoding)
 
 
@@ -314,7 +314,7 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
         },
         attrs={
             "title": "A sweeping process",
-            "software": ", ".join(f"{name} {of_it}" for name, of_it in software(solution).items()),
+            "software": ", ".join(map(" ".join, software(solution).items())),
             "status": solution.status.name.lower(),
             "message": solution.message,
             "scheme": plan.scheme.name,
