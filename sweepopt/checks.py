@@ -25,8 +25,8 @@ HUGE = 1e75
 """Numbers beyond this overflow when a few of them are multiplied."""
 TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node or a range: rounding of t0 + i mu."""
-MOST_UNKNOWNS = 10**9
-"""A vector of more of them takes 8 GB, and a step needs a few."""
+MEMORY = 4e9
+"""Bytes that the kept states of a run may take if nobody says more; no vector takes as many."""
 
 
 def meaning(**arguments: str) -> Callable[[F], F]:
@@ -228,9 +228,9 @@ def count(name: str, value: Any, least: int = 1) -> int:
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     size = count("dim", dim)
-    if size > MOST_UNKNOWNS:
+    if 8 * size > MEMORY:
         raise InputError(
-            f"dim is {shown(size)}, more than {MOST_UNKNOWNS:.0e}; no vector fits in memory"
+            f"dim is {shown(size)}, more than {MEMORY / 8:.0e}; no vector fits in memory"
         )
     return size
 

@@ -29,8 +29,8 @@ LOOKS = [
     for colour, style in zip(2 * COLOURS, 2 * STYLES, strict=False)
 ]
 """Eight lines that differ in colour or style, the first four in both."""
-MOST_FRAMES = 40
-"""Of a film, a GIF of at most 1.4 MB, and VTU files of a run."""
+MOST_FRAMES = 50
+"""Of a film, a GIF of at most 1.8 MB and 10 s, and VTU files of a run."""
 
 
 def plot_solution(solution: Solution, ax: Any = None) -> Any:

@@ -272,7 +272,7 @@ def write_netcdf(report: Report, path: Path) -> None:
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:
-    """Write `vtu/step_*.vtu` of the start and of 40 even times, and the series for ParaView.
+    """Write `vtu/step_*.vtu` at even times, at most 50, and the series that ParaView opens.
 
     Point data are displacement and velocity (of the step that ends there; of the first step at the
     start), cell data the number of the material in the summary's `materials`, 0 for none, and the
@@ -298,7 +298,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         mesh.cell_data = {"material": [material]}
     folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
-    nodes = np.append(0, even_steps(report.solution, MOST_FRAMES) + 1)
+    nodes = np.append(0, even_steps(report.solution, MOST_FRAMES - 1) + 1)
     steps = np.maximum(nodes - 1, 0)
     in_points = {"displacement": report.at("displacement", nodes), "velocity": velocity[steps]}
     in_cells = {name: report.at(name, nodes) for name in ("stress", "plastic_strain")}

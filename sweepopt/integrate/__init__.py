@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sweepopt.checks import MEMORY
 from sweepopt.integrate.adaptive import adapt, first_grid
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
@@ -36,7 +37,6 @@ from sweepopt.integrate.loop import (
 )
 from sweepopt.integrate.options import Adaptive, SolveOptions
 from sweepopt.integrate.record import (
-    MEMORY,
     ROW,
     Grid,
     Index,

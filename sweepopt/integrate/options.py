@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import choice, meaning, number, tolerance
+from sweepopt.checks import MEMORY, choice, meaning, number, tolerance
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.grid import (
     contraction,
@@ -15,7 +15,6 @@ from sweepopt.integrate.grid import (
     meeting_breakpoints,
     time_grid,
 )
-from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import Scheme, automatic, choose
 from sweepopt.io import decoded, encoded
 from sweepopt.loads import Table
