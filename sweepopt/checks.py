@@ -277,13 +277,15 @@ def times(name: str, value: Any) -> np.ndarray:
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
 
 
-def times_inside(value: Any, start: float, end: float) -> np.ndarray:
-    """Times within a run, or outside of it by rounding."""
-    array, slack = times("t", value), TIME_SLACK * max(abs(start), abs(end))
+def times_inside(value: Any, nodes: np.ndarray) -> np.ndarray:
+    """Times between the ends of a run; one that misses a node by rounding is that node."""
+    array, (start, end) = times("t", value), nodes[[0, -1]].tolist()
+    slack = TIME_SLACK * max(abs(start), abs(end))
     outside = ~((array >= start - slack) & (array <= end + slack))
     if outside.any():
         raise InputError(f"t = {array[outside].flat[0]:g} is outside of [{start:g}, {end:g}]")
-    return array
+    nearest = nodes[np.minimum(np.searchsorted(nodes, array - slack), len(nodes) - 1)]
+    return np.where(np.abs(nearest - array) <= slack, nearest, array)
 
 
 def is_finite(array: np.ndarray) -> bool:

@@ -250,10 +250,7 @@ class Solution(Displayed):
         """The times as floats; one that misses a kept node by rounding is that node."""
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
-        times = checks.times_inside(t, float(self.t[0]), float(self.t[-1]))
-        slack = checks.TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
-        nearest = self.t[np.clip(np.searchsorted(self.t, times - slack), 0, len(self.t) - 1)]
-        return np.where(np.abs(nearest - times) <= slack, nearest, times)
+        return checks.times_inside(t, self.t)
 
     def _step_of(self, times: np.ndarray) -> np.ndarray:
         """i with t in (t_i, t_{i+1}]; refused if that step was not kept."""
