@@ -10,14 +10,16 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from subprocess import TimeoutExpired, run
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.fem.contact import STATES, Slip, signed_lengths
 from sweepopt.fem.effects import Traction
-from sweepopt.fem.output import Report
 from sweepopt.plot import MOST_FRAMES, STICK, even_steps, new_figure, write_animation
+
+if TYPE_CHECKING:
+    from sweepopt.fem.output import Report
 
 Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
@@ -49,7 +51,7 @@ class Field(NamedTuple):
     axes: tuple[str, ...] = ("x", "y", "z")
 
 
-At = Callable[[Report, Array], Field]
+At = Callable[["Report", Array], Field]
 """The field of a run at the ends of steps."""
 
 
