@@ -25,8 +25,8 @@ HUGE = 1e75
 """Numbers beyond this overflow when a few of them are multiplied."""
 TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node or a range: rounding of t0 + i mu."""
-MOST_UNKNOWNS = 10**9
-"""A vector of more of them takes 8 GB, and a step needs a few."""
+MEMORY = 4e9
+"""Bytes that the kept states of a run may take if nobody says more; no vector takes as many."""
 
 
 def meaning(**arguments: str) -> Callable[[F], F]:
@@ -228,9 +228,9 @@ def count(name: str, value: Any, least: int = 1) -> int:
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     size = count("dim", dim)
-    if size > MOST_UNKNOWNS:
+    if 8 * size > MEMORY:
         raise InputError(
-            f"dim is {shown(size)}, more than {MOST_UNKNOWNS:.0e}; no vector fits in memory"
+            f"dim is {shown(size)}, more than {MEMORY / 8:.0e}; no vector fits in memory"
         )
     return size
 
@@ -277,13 +277,15 @@ def times(name: str, value: Any) -> np.ndarray:
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
 
 
-def times_inside(value: Any, start: float, end: float) -> np.ndarray:
-    """Times within a run, or outside of it by rounding."""
-    array, slack = times("t", value), TIME_SLACK * max(abs(start), abs(end))
+def times_inside(value: Any, nodes: np.ndarray) -> np.ndarray:
+    """Times between the ends of a run; one that misses a node by rounding is that node."""
+    array, (start, end) = times("t", value), nodes[[0, -1]].tolist()
+    slack = TIME_SLACK * max(abs(start), abs(end))
     outside = ~((array >= start - slack) & (array <= end + slack))
     if outside.any():
         raise InputError(f"t = {array[outside].flat[0]:g} is outside of [{start:g}, {end:g}]")
-    return array
+    nearest = nodes[np.minimum(np.searchsorted(nodes, array - slack), len(nodes) - 1)]
+    return np.where(np.abs(nearest - array) <= slack, nearest, array)
 
 
 def is_finite(array: np.ndarray) -> bool:

@@ -87,21 +87,22 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="simulate a scene and write its results")
     run.set_defaults(command=_run)
-    run.add_argument("scene", metavar="SCENE", help="a TOML file, or a name from `sweepopt list`")
     run.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<scene name>")
     _add_changes(run)
     run.add_argument("--steps", type=int, help="number of equal steps")
     run.add_argument("--scheme", help=f"auto, {', '.join(schemes.SCHEMES)}")
     run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
-    for flag, kind in (("--animate", "gif"), ("--mp4", "mp4")):
-        words = "write an animation too, as " + ("a GIF" if kind == "gif" else "an MP4 (by ffmpeg)")
+    for flag, kind, words in (
+        ("--animate", "gif", "a GIF"),
+        ("--mp4", "mp4", "an MP4 (by ffmpeg)"),
+    ):
+        words = f"write an animation too, as {words}"
         run.add_argument(flag, dest="animate", action="store_const", const=kind, help=words)
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
 
     effects = commands.add_parser("effects", help="what each effect of a scene costs")
     effects.set_defaults(command=_effects)
-    effects.add_argument("scene", metavar="SCENE", help="a TOML file, or a name")
     _add_changes(effects)
     effects.add_argument("--steps", type=int, default=5, help="of each run; the median is shown")
 
@@ -122,21 +123,15 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_changes(parser: argparse.ArgumentParser) -> None:
-    """The options that change a scene."""
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        help="another value (TOML), such as effects.friction.g=0.5; may be repeated",
-    )
-    parser.add_argument(
-        "--without",
-        action="append",
-        default=[],
-        metavar="EFFECT",
-        help="leave an effect out: friction, traction[0], traction.NAME; may be repeated",
-    )
+    """A scene, and the options that change it."""
+    known = "a TOML file, or a name from `sweepopt list`"
+    parser.add_argument("scene", metavar="SCENE", help=known)
+    for name, value, words in (
+        ("--set", "PATH=VALUE", "another value (TOML), such as effects.friction.g=0.5"),
+        ("--without", "EFFECT", "leave an effect out: friction, traction[0], traction.NAME"),
+    ):
+        words = f"{words}; may be repeated"
+        parser.add_argument(name, action="append", default=[], metavar=value, help=words)
 
 
 def _list(_: argparse.Namespace) -> int:
@@ -193,31 +188,28 @@ def _run(options: argparse.Namespace) -> int:
     text = path.read_text(encoding="utf-8")
     text += "".join(f"\n# changed: {change}" for change in scene.changes)
     solution = run_over(process, solving, grid, progress=not options.no_progress)
-    seconds, moved = clock.perf_counter() - started, False
+    seconds, code = clock.perf_counter() - started, DONE if solution.success else INCOMPLETE
     if len(solution.steps):
         report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
             files = pictures.write(report, folder, drawn)
         except OSError as error:  # a full disk: the run is not lost if there is another
             _say(f"{folder}: the results cannot be written there ({error.strerror or error})")
-            folder, moved = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), True
+            folder, code = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), INCOMPLETE
             files = pictures.write(report, folder, drawn)
         _conclude(report, folder, files)
     else:
         _say(f"no step was completed, nothing is written. {solution.message}")
-    if solution.status is Status.INTERRUPTED:
-        return INTERRUPTED
-    return DONE if solution.success and not moved else INCOMPLETE
+    return INTERRUPTED if solution.status is Status.INTERRUPTED else code
 
 
 def _announce(scene: Scene, plan: Plan) -> None:
     """Print what will be simulated and what will not."""
     if scene.title:
         print(scene.title)
-    for change in scene.changes:
-        print(f"changed             {change}")
     seconds = " s" if scene.units == "SI" else ""
-    print(f"time                0 to {scene.t_end:g}{seconds} in {scene.steps} steps")
+    time = "time", f"0 to {scene.t_end:g}{seconds} in {scene.steps} steps"
+    print(as_lines([*(("changed", change) for change in scene.changes), time]))
     print(replace(plan, left_out=(*scene.left_out, *plan.left_out)), flush=True)
 
 
@@ -227,28 +219,28 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
 
     solution, energy = report.solution, report.energy
     second, meter, joule = map(report.suffix, ("time", "length", "energy"))
+    sliding = ""
+    if report.slip is not None:
+        slip = report.slip.statistics()
+        sliding = "no point of the contact slips"
+        if slip.time_of_most is not None:
+            sliding = (
+                f"{100 * slip.ever:.0f} % of the contact slips at some time, "
+                f"{100 * slip.most:.0f} % at once, t = {slip.time_of_most:g}{second}"
+            )
+    named = [name for name in files if not name.endswith(".vtu")]
     lines = {
         "status": solution.message,
         "reached": f"t = {solution.t[-1]:g}{second} in {len(solution.steps)} steps, "
         f"{report.seconds:.3g} s of computing",
         "max displacement": f"{largest(report)['value']:.4g}{meter}",
-    }
-    if report.slip is not None:
-        slip = report.slip.statistics()
-        lines["slip"] = "no point of the contact slips"
-        if slip.time_of_most is not None:
-            lines["slip"] = (
-                f"{100 * slip.ever:.0f} % of the contact slips at some time, "
-                f"{100 * slip.most:.0f} % at once, t = {slip.time_of_most:g}{second}"
-            )
-    lines["energy"] = (
-        f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
+        "slip": sliding,
+        "energy": f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
         f"+ viscous {energy.viscous[-1]:.4g} + friction {energy.friction[-1]:.4g}, "
-        f"balance {energy.balance[-1]:.1e}{joule}"
-    )
-    lines["worst certificate"] = f"{solution.stats['relative'].max():.1e} (relative)"
-    named = [name for name in files if not name.endswith(".vtu")]
-    lines["written"] = f"{folder}: {', '.join(named)}"
+        f"balance {energy.balance[-1]:.1e}{joule}",
+        "worst certificate": f"{solution.stats['relative'].max():.1e} (relative)",
+        "written": f"{folder}: {', '.join(named)}",
+    }
     print(as_lines(lines.items()))
 
 

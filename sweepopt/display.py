@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from inspect import isroutine, signature
+from itertools import cycle
 from textwrap import fill
 from typing import Any
 
@@ -13,6 +14,11 @@ import numpy as np
 Rows = Iterable[tuple[str, object]]
 COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
 """Told apart with every common colour vision (Okabe and Ito)."""
+
+
+def evenly(size: int, most: int) -> np.ndarray:
+    """At most so many of 0, 1, ..., size - 1, evenly spread; both ends are among them."""
+    return np.unique(np.linspace(0, size - 1, most).round().astype(int))
 
 
 def as_lines(rows: Rows) -> str:
@@ -38,16 +44,16 @@ def brief(value: Any) -> str:
 
 def svg(curves: Sequence[np.ndarray], equal: bool = False, title: str = "") -> str:
     """Curves through points, each of shape (k, 2), as a small picture; `equal`: one scale."""
-    low, high = (bound(np.concatenate(curves), axis=0) for bound in (np.min, np.max))
-    size = np.where(high > low, high - low, 1.0)
-    scale = np.array([300.0, -120.0]) / size
+    every = np.concatenate(curves)
+    low, size = every.min(axis=0), np.ptp(every, axis=0)
+    scale = np.array([300.0, 120.0]) / np.where(size > 0, size, 1.0)
     if equal:
-        scale = np.array([1, -1]) * abs(scale).min()
+        scale[:] = scale.min()
     colours = COLOURS if len(curves) <= len(COLOURS) else COLOURS[:1]
     lines = ""
-    for i, curve in enumerate(curves):
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (curve - low) * scale + [5.0, 125.0])
-        colour = colours[i % len(colours)]
+    for curve, colour in zip(curves, cycle(colours)):
+        x, y = ((curve - low) * scale).T
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(5.0 + x, 125.0 - y, strict=True))
         lines += f'<polyline points="{points}" fill="none" stroke="{colour}"/>'
     return (
         f'<svg width="310" height="150" xmlns="http://www.w3.org/2000/svg">{lines}'

@@ -16,7 +16,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -135,7 +135,7 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             raise InputError(f"{path}: the name of a column must be text, got {shown(name)}")
     table = {}
     for row, line in enumerate(read_text(as_path("path", path)).splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
+        if line.strip() and line.lstrip()[0] != "#":
             try:
                 table[row] = [cell.strip() for cell in next(csv.reader([line]))]
             except csv.Error as error:  # a cell beyond the reader's limit
@@ -158,28 +158,26 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             raise InputError(
                 f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
             )
-    columns = np.empty((len(names), len(table)))
-    for k, (row, cells) in enumerate(table.items()):
+    rows = np.empty((len(table), len(names)))
+    for values, (row, cells) in zip(rows, table.items(), strict=True):
         if len(cells) > len(header):
             raise InputError(
                 f"{path}, row {row}: {len(cells)} cells under {len(header)} column names; "
                 "write decimals with a point (1.5, not 1,5)"
             )
         by_name = dict(zip(header, cells, strict=False))
-        columns[:, k] = [
+        values[:] = [
             _number(f"{path}, column {name!r}, row {row}", by_name.get(name, "")) for name in names
         ]
-    return columns, list(table)
+    return rows.T, list(table)
 
 
 def _number(where: str, cell: str) -> float:
-    try:
-        value = math.nan if "_" in cell else float(cell)  # Python reads 1_0 as 10
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {shown(cell)} is not a finite number")
-    return value
+    with suppress(ValueError):
+        # Python reads 1_0 as 10
+        if "_" not in cell and math.isfinite(value := float(cell)):
+            return value
+    raise InputError(f"{where}: {shown(cell)} is not a finite number")
 
 
 # ---- problems that come with the library: one scene or study a TOML file, its data beside it ----
@@ -379,11 +377,9 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 def versions_of(packages: Iterable[str]) -> dict[str, str]:
     """The versions of those that are installed, and of the library."""
     versions = {}
-    for name in dict.fromkeys(packages):
-        try:
+    for name in packages:
+        with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     # a clone on the path has no metadata
     return {**versions, "sweepopt": sys.modules["sweepopt"].__version__}
 

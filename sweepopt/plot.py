@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.checks import choice
-from sweepopt.display import COLOURS
+from sweepopt.display import COLOURS, evenly
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.io import replacing, writable
 from sweepopt.problem import SweepingProcess
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from sweepopt.sets import ConvexSet
 
 STICK = "#8C8C8C"
-STYLES = ("-", "--", "-.", (0, (1, 1)))
+STYLES = ("-", "--", "-.", ":")
 LOOKS = [
     {"color": colour, "linestyle": style}
     for colour, style in zip(2 * COLOURS, 2 * STYLES, strict=False)
 ]
 """Eight lines that differ in colour or style, the first four in both."""
-MOST_FRAMES, RATE = 40, 8
-"""Of an animation, and how many are shown in a second: at most 1.4 MB and 5 s as a GIF."""
+MOST_FRAMES = 50
+"""Of a film, a GIF of at most 1.8 MB and 10 s, and VTU files of a run."""
 
 
 def plot_solution(solution: Solution, ax: Any = None) -> Any:
@@ -63,7 +63,7 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
         import matplotlib.pyplot as pyplot
     panels = _panels(solution, pyplot.figure(figsize=(8.0, 4.5), layout="constrained"))
     if len(panels) == 2:
-        t, _, _, sets = _inside_steps(solution, 5)
+        t, _, _, sets = _inside_steps(solution, evenly(len(solution.steps), 5))
         for look, time, C in zip(LOOKS[1:], t, sets, strict=False):
             panels[1].plot(*C.outline().T, **look, lw=1.0, label=f"C({time:.3g})")
         panels[1].legend(fontsize="small")
@@ -89,13 +89,11 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
         If the path cannot be written, or ffmpeg is not there for an MP4.
     """
     path, figure, moving = writable("path", path), new_figure((8.0, 4.5)), list[Any]()
-    panels, t = _panels(solution, figure), frame_times(solution)
+    panels, steps = _panels(solution, figure), even_steps(solution, MOST_FRAMES)
+    t = solution.t[1:][steps]
     if paths := len(panels) == 2:
-        middle, _, force, _ = _inside_steps(solution, 1000)
-        u = solution(t)
-        forces = np.transpose([np.interp(t, middle, one) for one in force.T])
-        at = zip(t.tolist(), u, strict=True)
-        outlines = [solution.process.set_at(time, x).outline() for time, x in at]
+        t, _, force, sets = _inside_steps(solution, steps)
+        u, outlines = solution(t), [C.outline() for C in sets]
         panels[1].update_datalim(np.concatenate(outlines))
 
     def draw(i: int) -> None:
@@ -106,18 +104,17 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
             moving.extend(panel.axvline(t[i], color=COLOURS[1]) for panel in panels)
             return
         moving.extend(panels[1].plot(*outlines[i].T, color=STICK))
-        for panel, values in zip(panels, (u, forces), strict=True):
+        for panel, values in zip(panels, (u, force), strict=True):
             moving.extend(panel.plot(*values[i], "o", color=COLOURS[1]))
 
     write_animation(figure, path, draw, len(t))
     return path
 
 
-def frame_times(solution: Solution) -> np.ndarray:
-    """Even times of the frames of an animation; kept ones where not all steps were kept."""
-    t = solution.t
-    even = np.linspace(t[0], t[-1], MOST_FRAMES)
-    return even if solution.complete else t[np.unique(np.searchsorted(t, even))]
+def even_steps(solution: Solution, most: int) -> np.ndarray:
+    """At most so many of the kept steps, by their numbers among them; their ends are even times."""
+    ends = np.linspace(solution.t[0], solution.t[-1], most + 1)[1:]
+    return np.unique(np.searchsorted(solution.t[1:], ends))
 
 
 def _panels(solution: Solution, figure: Any) -> Any:
@@ -125,7 +122,7 @@ def _panels(solution: Solution, figure: Any) -> Any:
     dim = solution.u.shape[1]
     if dim > 2 or not isinstance(solution.process, SweepingProcess):
         return [_components(solution, figure.subplots())]
-    t, velocity, force, sets = _inside_steps(solution, 1000)
+    t, velocity, force, sets = _inside_steps(solution, evenly(len(solution.steps), 1000))
     if dim == 2:
         panels = figure.subplots(1, 2)
         for panel, path, name in zip(panels, (solution.u, force), ("u", "force"), strict=True):
@@ -159,12 +156,11 @@ def _components(solution: Solution, ax: Any) -> Any:
     return ax
 
 
-def _inside_steps(solution: Solution, most: int) -> tuple[Any, Any, Any, list[ConvexSet]]:
-    """t, u', A u' + B u and C(t) in the middle of at most so many of the kept steps."""
-    process, k = solution.process, len(solution.steps)
-    some = np.unique(np.linspace(0, k - 1, most).round().astype(int))
+def _inside_steps(solution: Solution, some: Any) -> tuple[Any, Any, Any, list[ConvexSet]]:
+    """t, u', A u' + B u and C(t) in the middle of some of the kept steps."""
+    process, velocity = solution.process, solution.velocity[some]
     mu = np.diff(solution.stats["t"], prepend=solution.t[0])[solution.steps[some]]
-    t, velocity = solution.t[1:][some] - mu / 2, solution.velocity[some]
+    t = solution.t[1:][some] - mu / 2
     u = solution(t)
     force = [process.A @ z + process.times_B(x) for z, x in zip(velocity, u, strict=True)]
     sets = [process.set_at(float(time), x) for time, x in zip(t, u, strict=True)]
@@ -209,13 +205,12 @@ def writer_of(path: Path) -> Any:
             f"{path.name}: an MP4 is made by ffmpeg, which is not installed; install it, or write "
             "a .gif"
         )
-    return writer(fps=RATE)
+    return writer()
 
 
 def spread(sizes: np.ndarray, most: int) -> np.ndarray:
     """Indices of at most `most` entries, evenly spread by the rank of their sizes."""
-    ranks = np.linspace(0, len(sizes) - 1, most).round().astype(int)
-    return np.unique(np.argsort(sizes, kind="stable")[ranks])
+    return np.sort(np.argsort(sizes, kind="stable")[evenly(len(sizes), most)])
 
 
 def draw_histories(

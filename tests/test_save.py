@@ -345,7 +345,7 @@ def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_pat
     code = FULL.format(tests=tests, file=file)
     done = python(code, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.split() == ["5001", "5000", "2", "1"]
+    assert done.stdout.split() == ["5001", "5000", "51", "50"]  # a block of them waits
     assert not list(tmp_path.iterdir())
 
 

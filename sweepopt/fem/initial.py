@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.errors import InputError
+from sweepopt.errors import DamagedFileError, InputError
 from sweepopt.fem.effects import Record
 from sweepopt.fem.fields import Array, Coefficient, Datum
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path
-from sweepopt.results import last_state
+from sweepopt.results import field_names, open_run
 
 DISPLACEMENT = Coefficient("u", vector=True)
 
@@ -69,19 +69,24 @@ class Initial(Record):
         path = as_path("run", self.run)
         path = path / "solution.nc" if path.is_dir() else path
         try:
-            run = last_state(path, "u", "field", "unknowns_digest")
-        except InputError as error:
-            raise InputError(f"run: {error}") from error
-        labels = np.full(size, "", dtype=object)
-        for name, part in fields.items():
-            labels[part] = name
-        last, kinds = run["u"], run.get("field", labels)
+            with open_run(path) as run:
+                end, there = run.isel(time=-1, missing_dims="ignore"), ", ".join(map(str, run))
+                last, kinds = (end[name].values if name in end else None for name in ("u", "field"))
+        except (InputError, DamagedFileError) as error:
+            raise InputError(f"run: {path} is no NetCDF file of a run ({error})") from error
+        if last is None:
+            raise InputError(
+                f"run: {path} has {there or 'no variables'}, but not the variable u, of all "
+                "unknowns; give solution.nc of sweepopt run, or a file of save= or to_xarray"
+            )
+        labels = field_names(fields, size)
+        kinds = labels if kinds is None else kinds
         if last.shape != u0.shape or not np.array_equal(kinds, labels):
             raise InputError(
                 f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "
                 f"{size} of {_fields(labels)}; take a run of the same body and effects"
             )
-        if run.get("unknowns_digest", "") not in ("", space.digest):
+        if run.attrs.get("unknowns_digest", "") not in ("", space.digest):
             raise InputError(
                 f"run: {path} is of another mesh, or has other components held or turned, as "
                 "friction turns them; take a run of this body"

@@ -21,19 +21,19 @@ import numpy as np
 
 from sweepopt import io
 from sweepopt.fem.contact import Slip, signed_lengths, slip_of
+from sweepopt.plot import MOST_FRAMES, even_steps
 from sweepopt.results import netcdf_bytes, software, solver_name
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from sweepopt.fem.scene import Scene
+    from sweepopt.fem.spaces import Discretisation
     from sweepopt.results import Energy, Solution
 
 SUMMARY = "summary.json"
 RESULTS = ("*.nc", "*.png", "*.gif", "*.mp4", "vtu/*.series", "vtu/*.vtu")
 """Files of a run; those that the summary lists are removed by the next run in the same folder."""
-MOST_VTU = 50
-"""VTU files of a run: enough for a film, few enough for a large mesh."""
 VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra10")}
 """Cells of VTK files on meshes of dimension 1, 2 and 3."""
 SI = {
@@ -81,6 +81,15 @@ class Report:
     def __post_init__(self) -> None:
         self.scene.require_run(self.solution)
 
+    @property
+    def body(self) -> Discretisation:
+        """The space of the scene."""
+        return self.scene.discretisation
+
+    def at(self, name: str, nodes: Any) -> Any:
+        """What the scene calls so ("displacement", "stress") at some of the kept times."""
+        return getattr(self.scene, name)(self.solution, self.solution.t[nodes])
+
     @cached_property
     def slip(self) -> Slip | None:
         """What the contact does."""
@@ -96,7 +105,7 @@ class Report:
         """Units of the scene's quantities."""
         if self.scene.units != "SI":
             return dict.fromkeys(SI, "1")
-        return SI | (OF_WHOLE_BODIES if self.scene.discretisation.mesh.dim() != 2 else {})
+        return SI | (OF_WHOLE_BODIES if self.body.mesh.dim() != 2 else {})
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
@@ -161,7 +170,7 @@ def largest(report: Report) -> dict[str, Any]:
     u = report.scene.displacement(report.solution)
     size = np.abs(signed_lengths(u))
     when, where = np.unravel_index(int(np.argmax(size)), size.shape)
-    point = report.scene.discretisation.points[where]
+    point = report.body.points[where]
     return {"value": size[when, where], "time": report.solution.t[when], "point": point}
 
 
@@ -227,7 +236,7 @@ def dataset_of(report: Report) -> xr.Dataset:
 
 def _of_mesh(report: Report) -> Variables:
     """Fields at the nodes, and where these are."""
-    scene, body = report.scene, report.scene.discretisation
+    scene, body = report.scene, report.body
     u, velocity = scene.displacement(report.solution), scene.velocity(report.solution)
     vector = " component" if body.components > 1 else ""
     rows: Variables = {
@@ -274,8 +283,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     list of Path
         The series first.
     """
-    solution, body = report.solution, report.scene.discretisation
-    u, velocity = report.scene.displacement(solution), report.scene.velocity(solution)
+    t, body, velocity = report.solution.t, report.body, report.scene.velocity(report.solution)
 
     def in_space(x: np.ndarray) -> np.ndarray:  # ParaView's points and vectors are in space
         return x if x.ndim == 1 else np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
@@ -290,25 +298,21 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         mesh.cell_data = {"material": [material]}
     folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
-    last, times = len(solution.steps), {}
-    chosen = np.unique(np.linspace(0, last, MOST_VTU).round().astype(int)).tolist()
-    in_cells = {
-        name: values
-        for name in ("stress", "plastic_strain")
-        if (values := getattr(report.scene, name)(solution, solution.t[chosen])) is not None
-    }
-    for k, i in enumerate(chosen):
-        fields = {"displacement": u[i], "velocity": velocity[max(i - 1, 0)]}
-        mesh.point_data = {name: in_space(x) for name, x in fields.items()}
-        mesh.cell_data |= {name: [values[k]] for name, values in in_cells.items()}
-        path = folder / f"step_{i:06d}.vtu"
+    nodes = np.append(0, even_steps(report.solution, MOST_FRAMES - 1) + 1)
+    steps = np.maximum(nodes - 1, 0)
+    in_points = {"displacement": report.at("displacement", nodes), "velocity": velocity[steps]}
+    in_cells = {name: report.at(name, nodes) for name in ("stress", "plastic_strain")}
+    files = [folder / f"step_{i:06d}.vtu" for i in nodes]
+    for k, path in enumerate(files):
+        mesh.point_data = {name: in_space(x[k]) for name, x in in_points.items()}
+        mesh.cell_data |= {name: [x[k]] for name, x in in_cells.items() if x is not None}
         with io.replacing(path) as part:
             mesh.write(part, file_format="vtu", compression="zlib")
-        times[path] = float(solution.t[i])
     series = folder / "solution.vtu.series"
-    entries = [{"name": path.name, "time": t} for path, t in times.items()]
+    times = zip(files, t[nodes].tolist(), strict=True)
+    entries = [{"name": path.name, "time": time} for path, time in times]
     _write_json(series, {"file-series-version": "1.0", "files": entries})
-    return [series, *times]
+    return [series, *files]
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

@@ -13,13 +13,12 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.fem import output, snapshots
 from sweepopt.fem.contact import STATES, Slip
-from sweepopt.fem.effects import Foundation, YieldStress, released_matrices
+from sweepopt.fem.effects import YieldStress, released_matrices
 from sweepopt.fem.output import Report
-from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
 from sweepopt.fem.stress import stress_laws
 from sweepopt.io import replacing, writable
-from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
+from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, even_steps, new_figure, spread
 
 if TYPE_CHECKING:
     from sweepopt.fem.scene import Scene
@@ -37,7 +36,7 @@ def refusal(scene: Scene, name: str) -> str:
     along = "friction along a boundary", one and contact is not None and contact.on_curve
     flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
     tells = bool(stress_laws(scene))
-    plastic = any(isinstance(effect, Plasticity) for effect in scene.effects)
+    plastic = any(hasattr(effect, "plastic_strain") for effect in scene.effects)
     needs = {
         "displacement": ("a body in the plane or along a line", dimension < 3),
         "surface": ("a solid", dimension == 3),
@@ -138,8 +137,7 @@ def contact(report: Report) -> Any:
     """What the contact does over time: slip zone, displacement, traction over bound, load."""
     from matplotlib.colors import ListedColormap
 
-    slip = report.slip
-    assert slip is not None
+    slip: Any = report.slip
     figure, driven = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
     panels = figure.subplots(3 + driven, 1, sharex=True)
     zone, moved, traction = panels[:3]
@@ -167,8 +165,7 @@ def contact(report: Report) -> Any:
 
 def space_time(report: Report) -> Any:
     """The slip rate along the contact, or over x, and time; grey where it sticks."""
-    slip = report.slip
-    assert slip is not None
+    slip: Any = report.slip
     figure = new_figure((8.5, 5.0))
     panel = figure.subplots()
     rate = np.ma.masked_equal(slip.velocity, 0.0)
@@ -182,18 +179,17 @@ def space_time(report: Report) -> Any:
 
 def profiles(report: Report) -> Any:
     """Slip and friction along the contact at five even times; the bound of t = 0 is dashed."""
-    slip = report.slip
-    assert slip is not None
+    slip: Any = report.slip
     figure = new_figure((8.5, 6.5))
     moved, traction = figure.subplots(2, 1, sharex=True)
     (low, high), arc = _slipped(slip), slip.contact.arc
     inside = np.flatnonzero((low <= arc) & (arc <= high))
-    arc, bound, steps = arc[inside], slip.contact.bound[inside], len(slip.stage_t)
-    chosen = np.unique(np.linspace(0, steps, 6).round().astype(int))[1:]
+    arc, bound = arc[inside], slip.contact.bound[inside]
+    chosen = even_steps(report.solution, 5)
     for i, look in zip(chosen.tolist(), LOOKS, strict=False):
-        label = f"t = {slip.t[i]:.4g}{report.suffix('time')}"
-        moved.plot(arc, slip.displacement[i, inside], label=label, **look)
-        traction.plot(arc, slip.traction[i - 1, inside], **look)
+        label = f"t = {slip.t[i + 1]:.4g}{report.suffix('time')}"
+        moved.plot(arc, slip.displacement[i + 1, inside], label=label, **look)
+        traction.plot(arc, slip.traction[i, inside], **look)
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8)
     _legend_above(moved)
     name_axis(report, moved.yaxis, "displacement", "length")
@@ -224,13 +220,12 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     """
     body, t = scene.discretisation, solution.t
     u = solution.u[:, : body.dim]
+    springs: Any = [one for one in scene.effects if getattr(one, "moved", None) is not None]
     curves = []
-    for effect in scene.effects:
-        if isinstance(effect, Foundation) and effect.moved is not None:
-            d = np.array([effect.moved(time) for time in t])
-            k: Any = effect.contribute(body).loads[0][1]  # type: ignore[index]
-            force = d * (k @ body.restrict(effect.shift(body))) - u @ k
-            curves.append((d, force, ("displacement of the far end", "force of the foundation")))
+    for spring in springs:
+        d, ((_, k),) = np.array(list(map(spring.moved, t))), spring.contribute(body).loads
+        force = d * (k @ body.restrict(spring.shift(body))) - u @ k
+        curves.append((d, force, ("displacement of the far end", "force of the foundation")))
     if curves:
         return curves
     if scene.lifts:

@@ -10,14 +10,16 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from subprocess import TimeoutExpired, run
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.fem.contact import STATES, Slip, signed_lengths
 from sweepopt.fem.effects import Traction
-from sweepopt.fem.output import Report
-from sweepopt.plot import STICK, frame_times, new_figure, write_animation
+from sweepopt.plot import MOST_FRAMES, STICK, even_steps, new_figure, write_animation
+
+if TYPE_CHECKING:
+    from sweepopt.fem.output import Report
 
 Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
@@ -26,7 +28,7 @@ STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 
 
 class Field(NamedTuple):
-    """What is drawn at each of some times.
+    """What is drawn at the end of each of some steps.
 
     Attributes
     ----------
@@ -49,48 +51,47 @@ class Field(NamedTuple):
     axes: tuple[str, ...] = ("x", "y", "z")
 
 
-At = Callable[[Report, Array], Field]
-"""The field of a run at times."""
+At = Callable[["Report", Array], Field]
+"""The field of a run at the ends of steps."""
 
 
 def picture(report: Report, field: At) -> Any:
-    """The field at up to six even steps, the last of them the end.
+    """The field at up to six even times, the last of them the end.
 
     Returns
     -------
     matplotlib Figure
     """
-    t = report.solution.t
-    t = t[np.unique(np.linspace(0, len(t) - 1, 7).round().astype(int))[1:]]
-    return _page(report, field(report, t), t)[0]
+    steps = even_steps(report.solution, 6)
+    return _page(report, field(report, steps), steps)[0]
 
 
 def animation(report: Report, field: At, path: Path) -> None:
-    """Write the field at 40 even times as a GIF or, by ffmpeg, as an MP4."""
-    t = frame_times(report.solution)
-    shown = field(report, t)
-    figure, panel = _page(report, shown, t[:1])
+    """Write the field at even times as a GIF or, by ffmpeg, as an MP4."""
+    steps = even_steps(report.solution, MOST_FRAMES)
+    shown = field(report, steps)
+    figure, panel = _page(report, shown, steps[:1])
 
     def draw(i: int) -> None:
         for artist in [*panel.collections, *panel.lines, *panel.images]:
             artist.remove()
-        _draw(report, shown, panel, t, i)
+        _draw(report, shown, panel, steps, i)
 
-    write_animation(figure, path, draw, len(t))
+    write_animation(figure, path, draw, len(steps))
 
 
-def displacement(report: Report, t: Array) -> Field:
+def displacement(report: Report, steps: Array) -> Field:
     """The displacement of a body in the plane, or over x along a line, and where it slips."""
     from matplotlib.collections import LineCollection
 
-    body, legend = report.scene.discretisation, states_of(report.slip)
-    u, x = signed_lengths(report.scene.displacement(report.solution, t)), body.points
+    body, legend = report.body, states_of(report.slip)
+    u, x = signed_lengths(report.at("displacement", steps + 1)), body.points
     if body.mesh.dim() == 1:
         order, x = np.argsort(x[:, 0]), np.stack([np.broadcast_to(x[:, 0], u.shape), u], axis=2)
 
         def curve(panel: Any, i: int) -> None:
             panel.plot(*x[i, order].T, color="black", lw=1.0, zorder=1)
-            _mark(report, panel, t[i], x[i])
+            _mark(report, panel, steps[i], x[i])
 
         return Field(curve, x.reshape(-1, 2), "", "length", legend, ("x", "displacement"))
     pulled = [name for one in report.scene.effects if isinstance(one, Traction) for name in one.on]
@@ -105,33 +106,32 @@ def displacement(report: Report, t: Array) -> Field:
             edges: Any = x[body.facet_nodes(facets).T]
             panel.add_collection(LineCollection(edges, colors=colour, lw=width))
         image = _fill(report, panel, u[i], **look)
-        _mark(report, panel, t[i], x)
+        _mark(report, panel, steps[i], x)
         return image
 
     label = "displacement out of the plane" if body.components == 1 else SIZE
     return Field(draw, x, label, "length", legend)
 
 
-def surface(report: Report, t: Array) -> Field:
+def surface(report: Report, steps: Array) -> Field:
     """The surface of a solid, with the size of its displacement."""
-    size = signed_lengths(report.scene.displacement(report.solution, t))
-    faces = size[:, report.scene.discretisation.triangles].mean(axis=2)
-    return _deformed(report, t, faces, SIZE, "length", "Greens")
+    size = signed_lengths(report.at("displacement", steps + 1))
+    faces = size[:, report.body.triangles].mean(axis=2)
+    return _deformed(report, steps, faces, SIZE, "length")
 
 
-def stress(report: Report, t: Array) -> Field:
+def stress(report: Report, steps: Array) -> Field:
     """The stress in the cells of a section, or in those at the surface of a solid."""
-    mesh, values = report.scene.discretisation.mesh, report.scene.stress(report.solution, t)
-    assert values is not None
-    name = "shear stress" if report.scene.discretisation.components == 1 else "von Mises stress"
+    mesh, values = report.body.mesh, report.at("stress", steps + 1)
+    name = "shear stress" if report.body.components == 1 else "von Mises stress"
     if mesh.dim() == 2:
         return _in_cells(report, values, name, "traction", "YlOrRd", {})
     behind = mesh.f2t[0, mesh.boundary_facets()]
-    return _deformed(report, t, values[:, behind], name, "traction", "YlOrRd")
+    return _deformed(report, steps, values[:, behind], name, "traction", "YlOrRd")
 
 
 def _deformed(
-    report: Report, t: Array, faces: Array, label: str, quantity: str, rising: str
+    report: Report, steps: Array, faces: Array, label: str, quantity: str, rising: str = "Greens"
 ) -> Field:
     """The surface of a solid, seen from its contact, with a value on each of its faces.
 
@@ -139,11 +139,11 @@ def _deformed(
     many times as large that is. PyVista draws it, where it is there, else matplotlib.
     """
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
+    from matplotlib.colors import Normalize, to_rgba_array
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    body, contact = report.scene.discretisation, report.scene.contact
-    u, triangles = report.scene.displacement(report.solution, t), body.triangles
+    body, contact = report.body, report.scene.contact
+    u, triangles = report.at("displacement", steps + 1), body.triangles
     factor = 0.1 * np.ptp(body.points, axis=0).max() / (signed_lengths(u).max() or 1.0)
     moved, look = body.points + factor * u, colours_of(faces, rising)
     faces = np.tile(faces, len(triangles) // faces.shape[1])  # the parts of a P2 element
@@ -157,9 +157,12 @@ def _deformed(
         how = {"clim": (0.0, look["vmax"]), "cmap": look["cmap"], "show_scalar_bar": False}
         plotter.add_mesh(shape, scalars=faces[i], show_edges=True, lighting=False, **how)
         if contact is not None:
-            spots, colours = moved[i, contact.node], _colours(report, t[i])
+            spots, colours = (
+                moved[i, contact.node],
+                to_rgba_array(_colours(report, steps[i]))[:, :3],
+            )
             how = {"render_points_as_spheres": True, "point_size": 12, "lighting": False}
-            plotter.add_points(spots, scalars=colours, rgb=True, **how)
+            plotter.add_points(spots, scalars=colours[:, :3], rgb=True, **how)
         plotter.show_axes()
         plotter.view_vector((0.5, -0.9, 0.6 - 1.2 * below), viewup=(0.0, 0.0, 1.0))
         plotter.camera.zoom(1.2)
@@ -175,7 +178,7 @@ def _deformed(
         artist = Poly3DCollection(moved[i, triangles], ec="0.3", lw=0.2, cmap=look["cmap"])
         artist.set(array=faces[i], clim=(0.0, look["vmax"]))
         panel.add_collection3d(artist)
-        _mark(report, panel, t[i], moved[i], depthshade=False)
+        _mark(report, panel, steps[i], moved[i], depthshade=False)
         panel.view_init(elev=30 - 60 * below, azim=-60)
         panel.set_box_aspect(np.ptp(moved, axis=(0, 1)))
         return artist
@@ -183,7 +186,7 @@ def _deformed(
     return Field(draw, moved.reshape(-1, 3), label, quantity, legend)
 
 
-def flow(report: Report, t: Array) -> Field:
+def flow(report: Report, steps: Array) -> Field:
     """The velocity of a section, and what is rigid in it.
 
     A triangle is a part of a plug if its corners have one velocity, and at rest if that is 0: both
@@ -191,8 +194,8 @@ def flow(report: Report, t: Array) -> Field:
     """
     from matplotlib.colors import ListedColormap
 
-    body = report.scene.discretisation
-    velocity = report.scene.velocity(report.solution)[_steps_at(report, t)]
+    body = report.body
+    velocity = report.scene.velocity(report.solution)[steps]
     look, flat = colours_of(velocity), ListedColormap([STICK, PLUG])
 
     def draw(panel: Any, i: int) -> Any:
@@ -206,20 +209,18 @@ def flow(report: Report, t: Array) -> Field:
     return Field(draw, body.points, "velocity", "velocity", legend)
 
 
-def yielding(report: Report, t: Array) -> Field:
+def yielding(report: Report, steps: Array) -> Field:
     """Plastic strains of a body in the plane; grey where there is none yet, to show their front."""
-    strain: Any = report.scene.plastic_strain(report.solution, t)
+    strain = np.ma.masked_equal(report.at("plastic_strain", steps + 1), 0.0)
     legend = {STICK: "elastic so far"}
-    return _in_cells(
-        report, np.ma.masked_equal(strain, 0.0), "plastic strain", "", "plasma_r", legend
-    )
+    return _in_cells(report, strain, "plastic strain", "", "plasma_r", legend)
 
 
 def _in_cells(
     report: Report, values: Any, label: str, quantity: str, rising: str, legend: Mapping[str, str]
 ) -> Field:
     """Values in the cells of a body in the plane."""
-    body, look = report.scene.discretisation, colours_of(values, rising)
+    body, look = report.body, colours_of(values, rising)
     parts = len(body.triangles) // values.shape[1]  # of a P2 element
 
     def draw(panel: Any, i: int) -> Any:
@@ -228,10 +229,9 @@ def _in_cells(
     return Field(draw, body.points, label, quantity, legend)
 
 
-def arrows(report: Report, t: Array) -> Field:
+def arrows(report: Report, steps: Array) -> Field:
     """Slip arrows in the plane of contact, and the friction traction over its bound, of vectors."""
-    slip, steps = report.slip, _steps_at(report, t)
-    assert slip is not None
+    slip: Any = report.slip
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
     x, speed, use = slip.contact.points[:, plane], slip.speed[steps], slip.use[steps]
     velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][..., plane]
@@ -283,37 +283,28 @@ def states_of(slip: Slip | None) -> dict[str, str]:
     return {STATE_COLOURS[k]: name for k, name in present.items()}
 
 
-def _steps_at(report: Report, t: Any) -> Any:
-    """The steps that times are in; what belongs to steps is that of the one that ends there."""
-    return np.maximum(np.searchsorted(report.solution.t, t) - 1, 0)
-
-
 def _fill(report: Report, panel: Any, *values: Array, **look: Any) -> Any:
     """Values at the nodes of a body in the plane, or `facecolors` of its triangles."""
-    body = report.scene.discretisation
+    body = report.body
     panel.set_aspect("equal")
     shading = "gouraud" if values else "flat"
     x, y = body.points.T
     return panel.tripcolor(x, y, body.triangles, *values, shading=shading, rasterized=True, **look)
 
 
-def _mark(report: Report, panel: Any, t: float, points: Array, **look: Any) -> None:
+def _mark(report: Report, panel: Any, step: int, points: Array, **look: Any) -> None:
     """Nodes with friction in the colours of their states, with a casing against the field."""
-    if (slip := report.slip) is not None:
-        colours = _colours(report, t)
-        spots = points[slip.contact.node].T
+    if report.slip is not None:
+        spots = points[report.slip.contact.node].T
         # all casings first: they would hide neighbours
-        panel.scatter(*spots, s=32, c="white", zorder=2, **look)
-        panel.scatter(*spots, s=24, c=colours, lw=0, zorder=2, **look)
+        for size, colours in ((50, "white"), (24, _colours(report, step))):
+            panel.scatter(*spots, s=size, c=colours, lw=0, zorder=2, **look)
 
 
-def _colours(report: Report, t: float) -> Array:
-    """Of the nodes with friction, by their states; shape (m, 3)."""
-    from matplotlib.colors import to_rgb
-
-    assert report.slip is not None
-    states = report.slip.state[_steps_at(report, t)].tolist()
-    return np.array([to_rgb(STATE_COLOURS[k]) for k in states])
+def _colours(report: Report, step: int) -> list[str]:
+    """Of the nodes with friction, by their states in a step."""
+    slip: Any = report.slip
+    return [STATE_COLOURS[k] for k in slip.state[step].tolist()]
 
 
 @cache
@@ -339,23 +330,24 @@ def off_screen() -> Any:
     return import_module("pyvista")
 
 
-def _draw(report: Report, field: Field, panel: Any, t: Array, i: int) -> Any:
+def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any:
     """The field on a panel, and the time."""
-    panel.set_title(f"t = {t[i]:.4g}{report.suffix('time')}", fontsize="medium")
+    t = report.solution.t[steps[i] + 1]
+    panel.set_title(f"t = {t:.4g}{report.suffix('time')}", fontsize="medium")
     return field.draw(panel, i)
 
 
-def _page(report: Report, field: Field, t: Array) -> tuple[Any, Any]:
-    """A figure with the field at times, up to three in a row, and its first panel."""
-    columns = min(len(t), 3)
-    rows = -(-len(t) // columns)
+def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
+    """A figure with the field at the ends of steps, three in a row, and its first panel."""
+    columns = min(len(steps), 3)
+    rows = -(-len(steps) // columns)
     figure = new_figure((4.0 * max(columns, 2), 3.5 * rows))
     kind = {"projection": "3d"} if field.points.shape[1] == 3 else {}
     panels = figure.subplots(rows, columns, squeeze=False, subplot_kw=kind)
-    for panel in panels.flat[len(t) :]:
+    for panel in panels.flat[len(steps) :]:
         panel.set_axis_off()
-    for i, panel in enumerate(panels.flat[: len(t)]):
-        image = _draw(report, field, panel, t, i)
+    for i, panel in enumerate(panels.flat[: len(steps)]):
+        image = _draw(report, field, panel, steps, i)
         for own, name, x in zip("xyz", field.axes, field.points.T, strict=False):
             edge = 0.08 * (np.ptp(x) or 1.0)
             panel.set(**{f"{own}lim": (x.min() - edge, x.max() + edge)})

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from sweepopt.checks import MEMORY
 from sweepopt.integrate.adaptive import adapt, first_grid
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     CheckpointWriter,
     StoredRun,
     checkpoint_writer,
+    differences,
+    fingerprint,
     newest,
     require_same_problem,
 )
@@ -18,7 +21,6 @@ from sweepopt.integrate.field import (
     step_program,
     velocity_field,
 )
-from sweepopt.integrate.fingerprint import differences, fingerprint
 from sweepopt.integrate.grid import (
     check_stability,
     divided,
@@ -35,7 +37,6 @@ from sweepopt.integrate.loop import (
 )
 from sweepopt.integrate.options import Adaptive, SolveOptions
 from sweepopt.integrate.record import (
-    MEMORY,
     ROW,
     Grid,
     Index,

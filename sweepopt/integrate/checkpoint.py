@@ -8,18 +8,23 @@ equal to the last bit.
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from sweepopt.checks import count, number
+from sweepopt.display import evenly
 from sweepopt.errors import (
     CheckpointError,
     CheckpointWarning,
@@ -28,7 +33,6 @@ from sweepopt.errors import (
     shown,
     warn,
 )
-from sweepopt.integrate.fingerprint import differences, fingerprint
 from sweepopt.io import (
     decoded,
     encoded,
@@ -39,17 +43,20 @@ from sweepopt.io import (
     writable,
     write_npz,
 )
+from sweepopt.loads import History
+from sweepopt.problem import SweepingProcess, motion
+from sweepopt.sets import ConvexSet
 
 if TYPE_CHECKING:
     from sweepopt.integrate.options import SolveOptions
     from sweepopt.integrate.record import Grid, Run
-    from sweepopt.problem import SweepingProcess
 
-SCHEMA = 5  # of the file: one more for each change of what it holds
+SCHEMA = 6  # of the file: one more for each change of what it holds
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
 """Their versions may change the last bits of a result."""
 WRITES = 100  # of a run, at whose ends it may be written down if nobody says how many steps
 SECONDS = 10.0  # between two files, if nobody says how many
+SAMPLES = 256  # times at which functions of time are compared
 
 
 @dataclass(frozen=True)
@@ -342,3 +349,68 @@ def _require_free(checkpoint: Checkpoint) -> None:
             f"checkpoint: {stored.file} holds a run that has done {stored.done} of {steps} "
             "steps; continue it with so.resume, or delete it"
         )
+
+
+# ---- what defines a problem ---------------------------------------------------------------------
+
+
+def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
+    """sha256 of A, B, u0 and C(t), part by part, so that one can say which part differs.
+
+    Of C(t) the data; a function of time is compared by its values at up to SAMPLES of the times.
+    """
+    some = times[evenly(len(times), SAMPLES)].tolist()
+    moving = motion(process.C)
+    loads = [load for load in (moving.center, moving.scale, moving.offsets) if load is not None]
+    data = [moving.shape, getattr(process.C, "lipschitz", None), *(load.terms for load in loads)]
+    values = (phi(t) for phi in moving.histories for t in some)
+    C = chain(data, moving.histories, values)
+    parts = {"A": [process.A], "B": [process.B], "u0": [process.u0], "C(t)": C}
+    return {name: _sha256(part) for name, part in parts.items()}
+
+
+def _sha256(values: Iterable[Any]) -> str:
+    digest = hashlib.sha256()
+    for piece in chain.from_iterable(map(_bytes, values)):
+        digest.update(piece)
+        digest.update(b" ")
+    return digest.hexdigest()
+
+
+def differences(began: Mapping[str, str], process: SweepingProcess, times: np.ndarray) -> list[str]:
+    """The parts of a process that are not those of the fingerprint of another at these times."""
+    now = fingerprint(process, times)
+    return [name for name in now if began.get(name) != now[name]]
+
+
+def _bytes(value: Any) -> Iterator[bytes]:
+    """Those of a nest of sets, loads, arrays and numbers; of another object its type alone."""
+    yield type(value).__name__.encode()
+    if isinstance(value, (ConvexSet, History)):
+        value = _attributes(value)
+    elif sp.issparse(value):
+        matrix = sp.csc_array(value)
+        places = (index.astype(np.int64) for index in (matrix.indices, matrix.indptr))
+        value = [matrix.shape, matrix.data, *places]
+    if isinstance(value, (list, tuple)):
+        yield str(len(value)).encode()
+        for part in value:
+            yield from _bytes(part)
+    elif isinstance(value, (np.ndarray, np.generic)):
+        yield f"{value.dtype.str} {value.shape}".encode()
+        yield value.tobytes()
+    elif value is None or isinstance(value, (str, int, float)):
+        yield repr(value).encode()
+
+
+def _attributes(value: Any) -> list[Any]:
+    """What a set or a load is made of: its public attributes, none that are computed later."""
+    kinds = [vars(kind) for kind in type(value).__mro__]
+    later = {name for kind in kinds for name in kind if isinstance(kind[name], cached_property)}
+    names = sorted(name for name in vars(value).keys() - later if name[0] != "_")
+    entries = [*names, *(getattr(value, name) for name in names)]
+    if isinstance(value, ConvexSet) and any(map(callable, entries)):
+        # what a function in it does is seen in what it gives
+        direction = np.cos(np.arange(value.dim) + 1.0)
+        entries += [f"{value.support(z):.6e}" for z in (direction, -direction)]
+    return entries

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import choice, meaning, number, tolerance
+from sweepopt.checks import MEMORY, choice, meaning, number, tolerance
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.grid import (
     contraction,
     evaluation_times,
     meeting_breakpoints,
 )
-from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import AUTOMATIC, Scheme, choose
 from sweepopt.io import decoded, encoded
 from sweepopt.loads import Table

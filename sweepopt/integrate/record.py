@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from sweepopt.integrate.exact import Trajectory
     from sweepopt.velocity import Plan, Velocity
 
-MEMORY = 4e9
-"""Bytes that the kept states may take."""
-
 Index = Any  # int, slice or array of ints
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from sweepopt.results.dataset import (
     NetCDFSink,
-    last_state,
+    field_names,
     netcdf_bytes,
+    open_run,
     software,
     solver_name,
 )
@@ -19,8 +20,9 @@ __all__ = [
     "NetCDFSink",
     "Pass",
     "Solution",
-    "last_state",
+    "field_names",
     "netcdf_bytes",
+    "open_run",
     "software",
     "solver_name",
 ]

@@ -9,7 +9,8 @@ import hashlib
 import json
 import os
 import uuid
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from io import BytesIO, FileIO
 from os import PathLike
@@ -49,19 +50,22 @@ class _Storage(FileIO):
     def write(self, data: Any) -> int:
         rest = memoryview(data).cast("B")
         size = len(rest)
-        while rest and not self.failure:
-            rest = rest[self._unless_full(super().write, rest) or 0 :]
+        with self._failing_once():
+            while rest and not self.failure:
+                rest = rest[super().write(rest) :]
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        return self._unless_full(super().truncate, size) or 0
+        with self._failing_once():
+            return 0 if self.failure else super().truncate(size)
+        return 0
 
-    def _unless_full(self, action: Callable[[Any], int | None], value: Any) -> int | None:
+    @contextmanager
+    def _failing_once(self) -> Iterator[None]:
         try:
-            return None if self.failure else action(value)
+            yield
         except OSError as error:
             self.failure = error
-            return None
 
 
 class NetCDFSink:
@@ -90,17 +94,16 @@ class NetCDFSink:
         self._file.attrs["unknowns_digest"] = unknowns_digest
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
         self._most = max(int(BLOCK // (16 * u0.size)), 1)
-        rows = min(self._most, 64), u0.size
-        for name, dims, chunks, words in (
-            ("time", ("time",), (1024,), "time"),
-            ("u", ("time", "unknown"), rows, U),
-            ("velocity", ("step", "unknown"), rows, VELOCITY),
+        for name, dims, words in (
+            ("time", ("time",), "time"),
+            ("u", ("time", "unknown"), U),
+            ("velocity", ("step", "unknown"), VELOCITY),
         ):
-            created = self._file.create_variable(name, dims, float, chunks=chunks, fletcher32=True)
+            created = self._file.create_variable(name, dims, float, fletcher32=True)
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self._steps, self._waiting = 0, list[np.ndarray]()
+        self._steps, self._waiting = 0, list[tuple[float, np.ndarray, np.ndarray]]()
         self._u0 = u0
 
     def put(self, step: StepInfo) -> bool:
@@ -109,7 +112,7 @@ class NetCDFSink:
         The answer is whether the file cannot be written.
         """
         # a copy: a callback may change the state that it sees
-        self._waiting.append(np.concatenate([[step.t], step.u, step.velocity]))
+        self._waiting.append((step.t, step.u.copy(), step.velocity.copy()))
         if len(self._waiting) == self._most:
             self._write()
         return self.storage.failure is not None
@@ -138,30 +141,26 @@ class NetCDFSink:
     def _write(self) -> None:
         start, variables = self._steps, self._file.variables
         end = start + len(self._waiting)
-        if end > start and not self.storage.failure:
-            t, u, velocity = self._columns()
-            self._file.resize_dimension("time", end + 1)
-            self._file.resize_dimension("step", end)
-            variables["time"][start + 1 :] = t
-            variables["u"][start + 1 :] = u
-            variables["velocity"][start:] = velocity
-            self._file.flush()  # so that a failure is seen before the block is forgotten
+        if end == start or self.storage.failure:
+            return
+        t, u, velocity = zip(*self._waiting, strict=True)
+        self._file.resize_dimension("time", end + 1)
+        self._file.resize_dimension("step", end)
+        variables["time"][start + 1 :] = t
+        variables["u"][start + 1 :] = u
+        variables["velocity"][start:] = velocity
+        self._file.flush()  # so that a failure is seen before the block is forgotten
         if not self.storage.failure:
             # one assignment at the end: what Ctrl-C cuts short is written again by `close`
             self._steps, self._waiting = end, []
-
-    def _columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times, states and velocities of the steps that wait."""
-        t, u, velocity = np.split(np.array(self._waiting), [1, 1 + self._u0.size], axis=1)
-        return t[:, 0], u, velocity
 
     def states(self) -> States:
         """The states in the file, read when they are asked for; those that wait if it failed."""
         self._write()
         if self.storage.failure:
-            _, u, velocity = self._columns()
-            steps, nodes = self._steps + np.arange(len(u)), np.vstack([self._u0, u])
-            return States(steps, nodes.__getitem__, velocity.__getitem__)
+            _, u, velocity = zip(*self._waiting, strict=True)
+            steps, nodes = self._steps + np.arange(len(u)), np.vstack([self._u0, *u])
+            return States(steps, nodes.__getitem__, np.array(velocity).__getitem__)
 
         def read(name: str, i: Index) -> np.ndarray:
             if not self._path.is_file():
@@ -169,13 +168,11 @@ class NetCDFSink:
             package = netcdf_package()
             try:
                 with package.File(self._path, "r") as file:
-                    run, variable = file.attrs.get("run"), file.variables[name]
-                    if run == self._run and isinstance(i, slice):
-                        return np.asarray(variable[i])
-                    if run == self._run:  # a file has its rows read in order, each once
+                    if file.attrs.get("run") == self._run:
+                        variable = file.variables[name]
                         wanted = np.arange(variable.shape[0])[i]
-                        rows, where = np.unique(wanted, return_inverse=True)
-                        return np.asarray(variable[rows])[where.reshape(wanted.shape)]
+                        rows = np.unique(wanted)  # a file has them read in order, each once
+                        return np.asarray(variable[rows])[np.searchsorted(rows, wanted)]
             except Exception as error:  # h5py has no list of what it raises
                 raise DamagedFileError(
                     f"{self._path} is damaged ({error}); its states are lost, run again"
@@ -220,10 +217,9 @@ def _check(path: Path) -> None:
     A file that another program wrote has no checksum, and nothing behind the end that HDF5 knows.
     """
     content = np.memmap(path, np.uint8, "r") if path.stat().st_size else np.zeros(0, np.uint8)
-    size = hashlib.sha256().digest_size
-    mark, end = len(MARK) + size, content[-size:].tobytes()
-    if content[-mark:-size].tobytes() == MARK:
-        if hashlib.sha256(content[:-mark].data).digest() != end:
+    before, last = np.split(content, [-len(MARK) - hashlib.sha256().digest_size])
+    if last.tobytes().startswith(MARK):
+        if hashlib.sha256(before.data).digest() != last[len(MARK) :].tobytes():
             raise DamagedFileError(f"{path} is damaged: its checksum is not that of what is in it")
         return
     head = content[:48].tobytes()
@@ -238,20 +234,25 @@ def _dump(dataset: xr.Dataset, file: Any) -> None:
     from xarray.backends import H5NetCDFStore
 
     packed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-    new = [name for name, x in dataset.variables.items() if x.ndim and name not in file.variables]
     # text as characters, as strings have no checksum
-    kinds = {name: {"dtype": "S1"} if dataset[name].dtype.kind in "OU" else {} for name in new}
-    encoding = {name: packed | kind for name, kind in kinds.items()}
+    encoding = {
+        name: packed | ({"dtype": "S1"} if x.dtype.kind in "OU" else {})
+        for name, x in dataset.variables.items()
+        if x.ndim and name not in file.variables
+    }
     dataset.dump_to_store(H5NetCDFStore(file), encoding=encoding)
 
 
-def read_run(path: str | PathLike[str]) -> xr.Dataset:
-    """What `to_xarray` made of a run, from the file that it was written to.
+@contextmanager
+def open_run(path: str | PathLike[str]) -> Iterator[xr.Dataset]:
+    """What `to_xarray` or `sweepopt run` made of a run, from the file that it was written to.
 
     Raises
     ------
     InputError
-        If there is no such file, or it is none of a run.
+        If there is no such file.
+    MissingExtraError
+        If h5netcdf or xarray is not installed.
     DamagedFileError
         If it is not as it was written, by its checksum; or by what HDF5 sees, where another program
         wrote it again and left the checksum out.
@@ -264,41 +265,10 @@ def read_run(path: str | PathLike[str]) -> xr.Dataset:
         raise InputError(f"path: there is no file {path}")
     _check(file_of_run)
     try:
-        with xarray.open_dataset(file_of_run, engine="h5netcdf") as file:
-            run = file.load()
+        with xarray.open_dataset(file_of_run, engine="h5netcdf") as run:
+            yield run
     except Exception as error:  # h5py has no list of what it raises
         raise DamagedFileError(f"{path} is damaged or no NetCDF file ({error})") from error
-    if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
-        raise InputError(f"{path} is no file of sol.save or save=: it has no u, status and scheme")
-    return run
-
-
-def last_state(path: Path, *names: str) -> dict[str, Any]:
-    """Those of the named variables and attributes that a run's NetCDF file has, at the last time.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, or has not the first of them.
-    MissingExtraError
-        If xarray is not installed.
-    """
-    with brought_by("fem"):
-        import xarray
-    try:
-        _check(path)
-        with xarray.open_dataset(path, engine="h5netcdf") as run:
-            last, there = run.isel(time=-1, missing_dims="ignore"), ", ".join(map(str, run))
-            kept: dict[str, Any] = {name: last[name].values for name in names if name in last}
-            kept |= {name: run.attrs[name] for name in names if name in run.attrs}
-    except Exception as error:  # h5py has no list of what it raises
-        raise InputError(f"{path} is no NetCDF file of a run ({error})") from error
-    if names[0] not in kept:
-        raise InputError(
-            f"{path} has {there or 'no variables'}, but not the variable {names[0]}, of all "
-            "unknowns; give solution.nc of sweepopt run, or a file of save= or to_xarray"
-        )
-    return kept
 
 
 # ---- datasets -----------------------------------------------------------------------------------
@@ -344,7 +314,7 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
         },
         attrs={
             "title": "A sweeping process",
-            "software": ", ".join(f"{name} {of_it}" for name, of_it in software(solution).items()),
+            "software": ", ".join(map(" ".join, software(solution).items())),
             "status": solution.status.name.lower(),
             "message": solution.message,
             "scheme": plan.scheme.name,
@@ -355,13 +325,18 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
         },
     )
     run = run.assign(solver=run.solver.astype(object)).set_coords("step_end")
-    fields = solution.process.fields
-    if not fields:
+    if not (fields := solution.process.fields):
         return run
-    names = np.full(solution.process.dim, "", dtype=object)
+    names = field_names(fields, solution.process.dim)
+    return run.assign_coords(field=("unknown", names, {"long_name": "field of the unknown"}))
+
+
+def field_names(fields: Mapping[str, Any], size: int) -> np.ndarray:
+    """The name of each unknown's field; "" where it is in none."""
+    names = np.full(size, "", dtype=object)
     for name, part in fields.items():
         names[part] = name
-    return run.assign_coords(field=("unknown", names, {"long_name": "field of the unknown"}))
+    return names
 
 
 def solver_name(solution: Solution) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt import checks
-from sweepopt.display import Displayed, Rows, svg
+from sweepopt.display import Displayed, Rows, evenly, svg
 from sweepopt.errors import (
     BoundWarning,
     CheckpointWarning,
@@ -37,7 +37,7 @@ from sweepopt.integrate import (
 )
 from sweepopt.io import put, writable
 from sweepopt.problem import SweepingProcess, sweeping
-from sweepopt.results.dataset import STATISTICS, netcdf_bytes, read_run, to_xarray
+from sweepopt.results.dataset import STATISTICS, netcdf_bytes, open_run, to_xarray
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
 from sweepopt.results.interpolation import Nodes
@@ -138,7 +138,7 @@ class Solution(Displayed):
             yield "error bound", repr(bound)
 
     def _picture(self) -> str:
-        some = np.unique(np.linspace(0, len(self.steps), 200).astype(int))
+        some = evenly(len(self.t), 200)
         t, u = self.t[some], self.states.u(some)[:, :4]
         span = f"{u.min():.3g} to {u.max():.3g} over t = {t[0]:g} to {t[-1]:g}"
         names = "u[0]" if u.shape[1] == 1 else f"u[0] to u[{u.shape[1] - 1}]"
@@ -250,10 +250,7 @@ class Solution(Displayed):
         """The times as floats; one that misses a kept node by rounding is that node."""
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
-        times = checks.times_inside(t, float(self.t[0]), float(self.t[-1]))
-        slack = checks.TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
-        nearest = self.t[np.clip(np.searchsorted(self.t, times - slack), 0, len(self.t) - 1)]
-        return np.where(np.abs(nearest - times) <= slack, nearest, times)
+        return checks.times_inside(t, self.t)
 
     def _step_of(self, times: np.ndarray) -> np.ndarray:
         """i with t in (t_i, t_{i+1}]; refused if that step was not kept."""
@@ -533,7 +530,11 @@ class Solution(Displayed):
         >>> bool((same.u == sol.u).all()), same.message == sol.message
         (True, True)
         """
-        run = read_run(path)
+        with open_run(path) as file:
+            run = file.load()
+        if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
+            wanted = "it has no u, status and scheme"
+            raise InputError(f"{path} is no file of sol.save or save=: {wanted}")
         u, velocity = run.u.values, run.velocity.values
         steps = run["kept_step" if "kept_step" in run.dims else "step"].values
         names, number = np.unique(run.solver.values.astype(str), return_inverse=True)

@@ -115,8 +115,8 @@ class Trajectory:
     def _evaluate(self, t: Any, of_phase: Evaluate) -> np.ndarray:
         """What `of_phase` computes of the phases at the times."""
         start = self.phases[0].start
-        times = checks.times_inside(t, start, self.end)
-        flat = np.clip(times.ravel(), start, self.end)
+        times = checks.times_inside(t, np.array([start, self.end]))
+        flat = times.ravel()
         phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
         values = np.zeros((flat.size, len(self.phases[0].u.weights)))
         for k, group in groupby(np.argsort(phase_of).tolist(), phase_of.__getitem__):
