@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import instant
 from sweepopt.errors import InputError
-from sweepopt.loads import History, breakpoints
+from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
@@ -78,29 +78,38 @@ def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpol
     """Interpolate on intervals between breakpoints."""
     h, m = end - begin, len(begin)
     times = (begin[:, None] + h[:, None] * NODES).ravel()
-    values = f.at(times).reshape(m, 5, f.dim)
-    errors = np.zeros((m, len(f.histories), 2))
-    for k, history in enumerate(f.histories):
+    terms: list[tuple[Any, Any, Any]] = [
+        (Separable([(phi, [1.0])]).at_many, vector, phi) for phi, vector in f.terms
+    ]
+    if f.function is not None:
+        terms = [(f.at, 1.0, f)]
+    values, errors = np.zeros((m, 5, f.dim)), np.zeros((m, len(terms), 2))
+    for k, (function, vector, history) in enumerate(terms):
+        samples = function(times).reshape(m, 5, -1)
+        values += samples * vector
+        if isinstance(f.function, VectorTable):
+            continue  # straight between its breakpoints
         if hasattr(history, "piece"):
             fifth = _fifth_derivative(history, begin, end) * h**5
             # Rolle: the error's derivative has four zeros
             errors[:, k] = np.column_stack([fifth * NODAL / 120, fifth / 24])
-        elif (variation := f.variation or getattr(history, "variation", None)) is not None:
-            one = f if f.terms == () else TimeFunction(((history, np.ones(1)),), 1)
-            for i, ends in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
-                errors[i, k] = _by_variation(one, variation, *ends)
+        elif getattr(history, "variation", None) is not None:
+            for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+                errors[i, k] = _by_variation(function, history, a, b, samples[i])
     return Interpolated(NODES_TO_GAUSS @ values, errors[..., 0], errors[..., 1])
 
 
-def _by_variation(f: TimeFunction, variation: Any, a: float, b: float) -> tuple[float, float]:
+def _by_variation(
+    f: Callable[[np.ndarray], np.ndarray], history: Any, a: float, b: float, values: np.ndarray
+) -> tuple[float, float]:
     """Both errors of a function of which only the variation is known, from samples on parts.
 
     On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
     """
-    times, values = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES, f.at(a + (b - a) * NODES)
-    e = np.linalg.norm(f.at(times) - NODES_TO_PARTS @ values, axis=1)
+    times = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES
+    e = np.linalg.norm(f(times) - NODES_TO_PARTS @ values, axis=1)
     slopes = 4 * np.linalg.norm(np.diff(to_bernstein(NODES) @ values, axis=0), axis=1)
-    varies = np.array([variation(*ends) for ends in itertools.pairwise(times.tolist())])
+    varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
     varies += slopes.max() / SAMPLES
     return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
@@ -129,7 +138,8 @@ def _fifth_derivative(history: Any, begin: np.ndarray, end: np.ndarray) -> np.nd
             origin, polynomial, waves = history.piece(float(a[0]), float(b[-1]))
             bounds[some] = sum(abs(amplitude) * abs(rate) ** 5 for amplitude, rate, _ in waves)
             reach = np.maximum(abs(a - origin), abs(b - origin))
-            bounds[some] += np.polynomial.Polynomial(np.abs(polynomial)).deriv(5)(reach)
+            for k, c in enumerate(polynomial[5:], start=5):
+                bounds[some] += abs(c) * math.perm(k, 5) * reach ** (k - 5)
     return bounds
 
 
