@@ -120,6 +120,8 @@ def even_steps(solution: Solution, most: int) -> np.ndarray:
 def _panels(solution: Solution, figure: Any) -> Any:
     """The panels of `plot_solution` on a figure; those of two unknowns without C(t)."""
     dim = solution.u.shape[1]
+    if len(solution.t) < 2:
+        raise InputError("the run has no complete step to draw")
     if dim > 2 or not isinstance(solution.process, SweepingProcess):
         return [_components(solution, figure.subplots())]
     t, velocity, force, sets = _inside_steps(solution, evenly(len(solution.steps), 1000))
