@@ -89,10 +89,9 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
         If the path cannot be written, or ffmpeg is not there for an MP4.
     """
     path, figure, moving = writable("path", path), new_figure((8.0, 4.5)), list[Any]()
-    panels, steps = _panels(solution, figure), even_steps(solution, MOST_FRAMES)
-    t = solution.t[1:][steps]
+    panels, t = _panels(solution, figure), frame_times(solution)
     if paths := len(panels) == 2:
-        t, _, force, sets = _inside_steps(solution, steps)
+        t, _, force, sets = _inside_steps(solution, even_steps(solution, MOST_FRAMES))
         u, outlines = solution(t), [C.outline() for C in sets]
         panels[1].update_datalim(np.concatenate(outlines))
 
@@ -115,6 +114,12 @@ def even_steps(solution: Solution, most: int) -> np.ndarray:
     """At most so many of the kept steps, by their numbers among them; their ends are even times."""
     ends = np.linspace(solution.t[0], solution.t[-1], most + 1)[1:]
     return np.unique(np.searchsorted(solution.t[1:], ends))
+
+
+def frame_times(solution: Solution) -> np.ndarray:
+    """Even times of the frames of an animation; kept ones where not all steps were kept."""
+    t, steps = solution.t, even_steps(solution, MOST_FRAMES)
+    return np.linspace(t[0], t[-1], MOST_FRAMES) if solution.complete else t[1:][steps]
 
 
 def _panels(solution: Solution, figure: Any) -> Any:
