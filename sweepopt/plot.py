@@ -89,10 +89,9 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
         If the path cannot be written, or ffmpeg is not there for an MP4.
     """
     path, figure, moving = writable("path", path), new_figure((8.0, 4.5)), list[Any]()
-    panels, steps = _panels(solution, figure), even_steps(solution, MOST_FRAMES)
-    t = solution.t[1:][steps]
+    panels, t = _panels(solution, figure), frame_times(solution)
     if paths := len(panels) == 2:
-        t, _, force, sets = _inside_steps(solution, steps)
+        t, _, force, sets = _inside_steps(solution, even_steps(solution, MOST_FRAMES))
         u, outlines = solution(t), [C.outline() for C in sets]
         panels[1].update_datalim(np.concatenate(outlines))
 
@@ -117,9 +116,17 @@ def even_steps(solution: Solution, most: int) -> np.ndarray:
     return np.unique(np.searchsorted(solution.t[1:], ends))
 
 
+def frame_times(solution: Solution) -> np.ndarray:
+    """Even times of the frames of an animation; kept ones where not all steps were kept."""
+    t, steps = solution.t, even_steps(solution, MOST_FRAMES)
+    return np.linspace(t[0], t[-1], MOST_FRAMES) if solution.complete else t[1:][steps]
+
+
 def _panels(solution: Solution, figure: Any) -> Any:
     """The panels of `plot_solution` on a figure; those of two unknowns without C(t)."""
     dim = solution.u.shape[1]
+    if len(solution.t) < 2:
+        raise InputError("the run has no complete step to draw")
     if dim > 2 or not isinstance(solution.process, SweepingProcess):
         return [_components(solution, figure.subplots())]
     t, velocity, force, sets = _inside_steps(solution, evenly(len(solution.steps), 1000))

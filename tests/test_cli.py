@@ -148,7 +148,7 @@ def test_an_animation_is_written_on_request_and_refused_before_the_run(monkeypat
     assert run("--steps", "3", "--animate") == 0
     assert "displacement.gif" in summary_in(Path("out"))["files"]
     with Image.open("out/displacement.gif") as shown:
-        assert shown.n_frames == 3  # one for each step, where these are few
+        assert shown.n_frames == 5
     monkeypatch.setenv("PATH", "")
     capsys.readouterr()
     assert run("--steps", "3", "--mp4") == 2

@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -224,6 +225,18 @@ def test_an_animation_shows_each_time_once(dim, tmp_path, monkeypatch):
         frames = [np.array(frame.convert("L")) for frame in ImageSequence.Iterator(shown)]
     assert len(frames) == 5
     assert min(np.ptp(one - other) for one, other in pairwise(frames)) > 100
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_a_run_that_is_stopped_in_its_first_step_has_nothing_to_draw(dim, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "sweepopt.integrate.loop.compensated_sum", Mock(side_effect=KeyboardInterrupt)
+    )
+    solution = stick_slip(dim)
+    assert solution.status is so.Status.INTERRUPTED
+    for draw_it in (solution.plot, lambda: solution.animate(tmp_path / "run.gif")):
+        with pytest.raises(so.InputError, match="no complete step to draw"):
+            draw_it()
 
 
 def test_an_animation_of_a_loaded_run_needs_no_process(tmp_path):

@@ -323,12 +323,13 @@ def test_memory_does_not_grow_with_the_steps_that_are_not_kept():
 FULL = """
 import resource, sys
 sys.path.insert(0, {tests!r})
-resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 import numpy as np, sweepopt as so, test_save
-for process, settings in (
-    (test_save.slider(), {{"t_end": 40.0, "steps": 5000}}),
-    (test_save.large(10_000), {{"t_end": 4.0, "steps": 150, "path": "eliminated"}}),
+for size, process, settings in (
+    (100_000, test_save.slider(), {{"t_end": 40.0, "steps": 5000}}),
+    (100_000, test_save.large(10_000), {{"t_end": 4.0, "steps": 150, "path": "eliminated"}}),
+    (160_000, test_save.slider(), {{"t_end": 40.0, "steps": 5000}}),  # enough for states alone
 ):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, 200_000))
     try:
         so.solve(process, save={file!r}, **settings)
     except so.SaveError as error:
@@ -345,7 +346,7 @@ def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_pat
     code = FULL.format(tests=tests, file=file)
     done = python(code, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.split() == ["5001", "5000", "51", "50"]  # a block of them waits
+    assert done.stdout.split() == ["5001", "5000", "51", "50", "2", "5000"]
     assert not list(tmp_path.iterdir())
 
 

@@ -68,10 +68,12 @@ class Initial(Record):
             return u0
         path = as_path("run", self.run)
         path = path / "solution.nc" if path.is_dir() else path
+        labels, last = field_names(fields, size), None
         try:
             with open_run(path) as run:
-                end, there = run.isel(time=-1, missing_dims="ignore"), ", ".join(map(str, run))
-                last, kinds = (end[name].values if name in end else None for name in ("u", "field"))
+                there, kinds = ", ".join(map(str, run)), np.asarray(run.get("field", labels))
+                if "u" in run:
+                    last = run.u.isel(time=-1, missing_dims="ignore").values
         except (InputError, DamagedFileError) as error:
             raise InputError(f"run: {path} is no NetCDF file of a run ({error})") from error
         if last is None:
@@ -79,8 +81,6 @@ class Initial(Record):
                 f"run: {path} has {there or 'no variables'}, but not the variable u, of all "
                 "unknowns; give solution.nc of sweepopt run, or a file of save= or to_xarray"
             )
-        labels = field_names(fields, size)
-        kinds = labels if kinds is None else kinds
         if last.shape != u0.shape or not np.array_equal(kinds, labels):
             raise InputError(
                 f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "
@@ -91,7 +91,7 @@ class Initial(Record):
                 f"run: {path} is of another mesh, or has other components held or turned, as "
                 "friction turns them; take a run of this body"
             )
-        return np.asarray(last)
+        return last
 
 
 def _fields(names: Any) -> str:

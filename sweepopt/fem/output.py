@@ -86,9 +86,13 @@ class Report:
         """The space of the scene."""
         return self.scene.discretisation
 
-    def at(self, name: str, nodes: Any) -> Any:
-        """What the scene calls so ("displacement", "stress") at some of the kept times."""
-        return getattr(self.scene, name)(self.solution, self.solution.t[nodes])
+    def at(self, name: str, t: np.ndarray) -> Any:
+        """What the scene calls so ("displacement", "stress") at times."""
+        return getattr(self.scene, name)(self.solution, t)
+
+    def steps_at(self, t: Any) -> Any:
+        """The steps that times are in; what belongs to steps is that of the one that ends there."""
+        return np.maximum(np.searchsorted(self.solution.t, t) - 1, 0)
 
     @cached_property
     def slip(self) -> Slip | None:
@@ -283,7 +287,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     list of Path
         The series first.
     """
-    t, body, velocity = report.solution.t, report.body, report.scene.velocity(report.solution)
+    body = report.body
 
     def in_space(x: np.ndarray) -> np.ndarray:  # ParaView's points and vectors are in space
         return x if x.ndim == 1 else np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
@@ -299,9 +303,10 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
     nodes = np.append(0, even_steps(report.solution, MOST_FRAMES - 1) + 1)
-    steps = np.maximum(nodes - 1, 0)
-    in_points = {"displacement": report.at("displacement", nodes), "velocity": velocity[steps]}
-    in_cells = {name: report.at(name, nodes) for name in ("stress", "plastic_strain")}
+    t = report.solution.t[nodes]
+    velocity = report.scene.velocity(report.solution)[report.steps_at(t)]
+    in_points = {"displacement": report.at("displacement", t), "velocity": velocity}
+    in_cells = {name: report.at(name, t) for name in ("stress", "plastic_strain")}
     files = [folder / f"step_{i:06d}.vtu" for i in nodes]
     for k, path in enumerate(files):
         mesh.point_data = {name: in_space(x[k]) for name, x in in_points.items()}
@@ -309,7 +314,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         with io.replacing(path) as part:
             mesh.write(part, file_format="vtu", compression="zlib")
     series = folder / "solution.vtu.series"
-    times = zip(files, t[nodes].tolist(), strict=True)
+    times = zip(files, t.tolist(), strict=True)
     entries = [{"name": path.name, "time": time} for path, time in times]
     _write_json(series, {"file-series-version": "1.0", "files": entries})
     return [series, *files]

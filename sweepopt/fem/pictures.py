@@ -245,11 +245,11 @@ def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
     """<d, A u' + B u> at the times, with u at all nodes."""
     body, rate = scene.discretisation, scene.velocity(solution)
     motions = np.concatenate([rate[:1], rate]), scene.displacement(solution)
-    rows = [M if M is None else M @ d for M in released_matrices(body, scene.effects)]
+    matrices = released_matrices(body, scene.effects)
     return sum(
-        motion.reshape(len(motion), -1) @ row[body.nodes.T].ravel()
-        for motion, row in zip(motions, rows, strict=True)
-        if row is not None
+        motion.reshape(len(motion), -1) @ (M @ d)[body.nodes.T].ravel()
+        for motion, M in zip(motions, matrices, strict=True)
+        if M is not None
     )
 
 

@@ -242,7 +242,7 @@ class Scene(Displayed):
         return folder
 
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
-        """Write a run as an animation, at up to 50 even times.
+        """Write a run as an animation, at 50 even times.
 
         Parameters
         ----------

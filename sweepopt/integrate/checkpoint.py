@@ -187,14 +187,10 @@ def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.
             f"{'differ' if len(differ) > 1 else 'differs'} from what the run began with"
         )
     was, here = stored.record["versions"], _versions()
-    changed = [
-        f"{name} {was.get(name)} -> {here.get(name)}"
-        for name in sorted({*was, *here})
-        if was.get(name) != here.get(name)
-    ]
-    if changed:
-        differ_in = f"last bits may differ: {', '.join(changed)}"
-        warn(f"the run began with other versions, {differ_in}", CheckpointWarning)
+    if others := sorted(dict(was.items() ^ here.items())):
+        changed = ", ".join(f"{name} {was.get(name)} -> {here.get(name)}" for name in others)
+        message = f"the run began with other versions, last bits may differ: {changed}"
+        warn(message, CheckpointWarning)
 
 
 def _versions() -> dict[str, str]:
@@ -229,7 +225,7 @@ def checkpoint_writer(
     checkpoint: Checkpoint = asked
     if grid.plan.scheme.exact:
         raise InputError("checkpoint= is for steps; scheme 'exact' computes the run at once")
-    if isinstance(options.save, (str, PathLike)) and options.save != "last":
+    if grid.saving.path:
         raise InputError(
             "checkpoint= cannot continue a NetCDF file; keep the states in memory, save=k, or in "
             "a file that save=f(t, u, z) writes"

@@ -103,7 +103,7 @@ class NetCDFSink:
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self._steps, self._waiting = 0, list[tuple[float, np.ndarray, np.ndarray]]()
+        self._steps, self._waiting, self._last = 0, list[StepInfo](), list[StepInfo]()
         self._u0 = u0
 
     def put(self, step: StepInfo) -> bool:
@@ -112,7 +112,8 @@ class NetCDFSink:
         The answer is whether the file cannot be written.
         """
         # a copy: a callback may change the state that it sees
-        self._waiting.append((step.t, step.u.copy(), step.velocity.copy()))
+        self._last = [step._replace(u=step.u.copy(), velocity=step.velocity.copy())]
+        self._waiting += self._last
         if len(self._waiting) == self._most:
             self._write()
         return self.storage.failure is not None
@@ -143,24 +144,25 @@ class NetCDFSink:
         end = start + len(self._waiting)
         if end == start or self.storage.failure:
             return
-        t, u, velocity = zip(*self._waiting, strict=True)
         self._file.resize_dimension("time", end + 1)
         self._file.resize_dimension("step", end)
-        variables["time"][start + 1 :] = t
-        variables["u"][start + 1 :] = u
-        variables["velocity"][start:] = velocity
+        variables["time"][start + 1 :] = [step.t for step in self._waiting]
+        variables["u"][start + 1 :] = [step.u for step in self._waiting]
+        variables["velocity"][start:] = [step.velocity for step in self._waiting]
         self._file.flush()  # so that a failure is seen before the block is forgotten
         if not self.storage.failure:
             # one assignment at the end: what Ctrl-C cuts short is written again by `close`
             self._steps, self._waiting = end, []
 
     def states(self) -> States:
-        """The states in the file, read when they are asked for; those that wait if it failed."""
+        """The states in the file, read when asked for; if that failed what waits, or the last."""
         self._write()
         if self.storage.failure:
-            _, u, velocity = zip(*self._waiting, strict=True)
-            steps, nodes = self._steps + np.arange(len(u)), np.vstack([self._u0, *u])
-            return States(steps, nodes.__getitem__, np.array(velocity).__getitem__)
+            steps = self._waiting or self._last
+            nodes = np.array([self._u0, *(step.u for step in steps)])
+            velocities = np.array([step.velocity for step in steps])
+            done = np.array([step.step for step in steps], dtype=int)
+            return States(done, nodes.__getitem__, velocities.__getitem__)
 
         def read(name: str, i: Index) -> np.ndarray:
             if not self._path.is_file():
