@@ -102,12 +102,13 @@ def _grids():
 @cache
 def case(name):
     """The reference case of that name."""
-    data, C = REFERENCE[name], as_function(problem(name).process().C)
+    this = problem(name)
+    C = as_function(this.process().C)
     return Case(
         name=name,
-        process=so.SweepingProcess(data["A"], data["B"], C, data["u0"]),
-        t_end=data["T"],
-        errors=data["errors"],
+        process=so.SweepingProcess(this.A, this.B, C, this.u0),
+        t_end=this.t_end,
+        errors=REFERENCE[name]["errors"],
         polyhedral=C.at(0.0).polyhedral,
     )
 

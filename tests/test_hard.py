@@ -1,12 +1,12 @@
 """Programs on which solvers alone fail, judged by velocities that are exact to 80 digits."""
 
 from itertools import chain as joined
-from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from cases import slow
+from study_table import lie
 
 import sweepopt as so
 from sweepopt.study.hard import FAMILIES, Program, suite
@@ -174,13 +174,11 @@ def test_the_judge_sees_wrong_answers_and_certificates(monkeypatch, family):
     def judged_as(factor, stated=1.0):
         """The row of a run whose velocities and certificates are not those of the library."""
 
-        def lying(*process, **settings):
-            sol = so.solve(*process, **settings)
-            stats = {name: sol.stats[name] for name in ("solver", "certificate")}
-            stats["certificate"] = stated * stats["certificate"]
-            return SimpleNamespace(t=sol.t, u=sol.u, velocity=factor * sol.velocity, stats=stats)
+        def stats(sol):
+            named = {name: sol.stats[name] for name in ("solver", "certificate")}
+            return named | {"certificate": stated * named["certificate"]}
 
-        monkeypatch.setattr(suite, "solve", lying)
+        lie(monkeypatch, stats=stats, velocity=lambda sol: factor * sol.velocity)
         return judged(family, seeds=[2], solvers=["auto"], paths=["full"])[0]
 
     right, far, near = judged_as(1.0), judged_as(1 + 1e-6), judged_as(1 + 1e-9, stated=0.0)

@@ -1,22 +1,11 @@
-"""The problems of the studies are the reference cases; their sets meet the exact values."""
+"""The problems of the studies; test_reference and test_exact compare them with exact values."""
 
 import numpy as np
 import pytest
-from cases import SETS, case
+from cases import SETS
 
 import sweepopt as so
 from sweepopt.study.problems import PROBLEMS, problem
-
-
-@pytest.mark.parametrize("name", SETS)
-def test_a_problem_is_the_reference_case_of_its_name(name):
-    this, given = problem(name), case(name)
-    process, reference = this.process(), given.process
-    assert this.t_end == given.t_end
-    assert np.allclose(process.u0, reference.u0, rtol=1e-15)
-    assert np.allclose(process.A, reference.A, rtol=1e-15)
-    assert (process.B is None) == (reference.B is None)
-    assert process.B is None or np.allclose(process.B, reference.B, rtol=1e-15)
 
 
 def test_there_is_a_problem_for_every_reference_case_and_a_burst():

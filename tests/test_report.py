@@ -14,6 +14,7 @@ import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
 from sweepopt.study.diagram import COSTS
+from sweepopt.study.hard.stiff import StiffRow
 from sweepopt.study.hard.velocities import HardRow
 from sweepopt.study.problems import problem
 
@@ -197,20 +198,26 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
         'solvers = ["auto"]\nsteps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\n'
         'solvers = ["auto"]\npaths = ["full"]\ncombinations = 0\n'
         '[trajectories]\ntrajectories = ["grazing"]\nschemes = ["auto", "midpoint"]\n'
+        '[stiff]\nbodies = ["one mass"]\nloads = ["tables"]\nstiffness = [100.0, inf]\n'
     )
     assert main(["study", str(path), "--out", str(out)]) == 0
     shown = capsys.readouterr()
     assert "2 cells, 0 of them finished before" in shown.err
     assert "the fastest way to each relative error" in shown.out
     assert shown.out.endswith(
-        f"{out}: table.csv, diagram.png, hard.csv, trajectories.csv, report.html\n"
+        f"{out}: table.csv, diagram.png, hard.csv, trajectories.csv, stiff.csv, report.html\n"
     )
+    assert "bound_over_error" in shown.out
     page = (out / "report.html").read_text("utf-8")
-    for words in ("<title>Both</title>", "2 cells, 0 failed", "1 runs, 0 wrong", "2 runs, 0 wrong"):
+    for words in ("<title>Both</title>", "2 cells, 0 failed", "Stiff bodies", "1 runs, 0 wrong"):
         assert words in page
+    assert page.count("2 runs, 0 wrong") == 2
     assert list(pd.read_csv(out / "table.csv").problem) == ["S01", "ring"]
     assert len(pd.read_csv(out / "hard.csv")) == 1
     assert set(pd.read_csv(out / "trajectories.csv").verdict) == {"met"}
+    stiff = pd.read_csv(out / "stiff.csv")
+    assert (*stiff.columns,) == StiffRow._fields
+    assert stiff.scheme.tolist() == ["sdirk32"] * 2
 
     def interrupted(*_):
         yield from HARD

@@ -4,13 +4,10 @@ import math
 
 import numpy as np
 import pytest
-import skfem
 from cases import block, case, slope, slow
 
 import sweepopt as so
-from sweepopt.cli import main
-from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
-from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, StiffRow, judge, make, stiff_bodies
+from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, make, stiff_bodies
 
 
 def check(row, over_best=2.0):
@@ -18,26 +15,34 @@ def check(row, over_best=2.0):
     assert row.verdict == "met", row  # no false stick, no ringing
 
 
-@pytest.mark.parametrize("body", [body for body in BODIES if body != "discs"])
-@pytest.mark.parametrize("load", LOADS)
-def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(body, load):
-    # one or two of each here, all of them with -m slow
-    stiffness = {"sines": [4.0], "tables": [1e2, math.inf]}[load]
-    study = stiff_bodies(bodies=[body], loads=[load], stiffness=stiffness, steps=[40], bounds=False)
-    for row in study:
+SOME = {"sines": [4.0, math.inf], "tables": [1e2, math.inf]}
+SEEDS = dict.fromkeys(BODIES, (1, 2, 3, 4, 5)) | {"discs": (1, 2)}
+MANY = [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf]
+
+
+@pytest.mark.parametrize(
+    "body, load, stiffness, seeds, steps, over_best",
+    [
+        *(
+            (body, load, SOME[load], [0], [40], 1.0)
+            for load in LOADS
+            for body in SEEDS
+            if body != "discs"
+        ),
+        *(
+            slow(body, load, [stiffness], seeds, [60, 150], 2.0)
+            for load in LOADS
+            for body, seeds in SEEDS.items()
+            for stiffness in MANY
+        ),
+    ],
+)
+def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(
+    body, load, stiffness, seeds, steps, over_best
+):
+    for row in stiff_bodies(seeds, [body], [load], stiffness, steps, bounds=False):
         assert row.scheme == "sdirk32"
-        check(row)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stiffness", [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf])
-@pytest.mark.parametrize("body", BODIES)
-@pytest.mark.parametrize("load", LOADS)
-def test_auto_is_at_most_twice_the_best_of_three_on_many_seeds(body, load, stiffness):
-    seeds = [1, 2] if body == "discs" else [1, 2, 3, 4, 5]
-    study = stiff_bodies(seeds, [body], [load], [stiffness], [60, 150], bounds=False)
-    for row in study:
-        check(row)
+        check(row, over_best)
 
 
 @pytest.mark.parametrize("load", LOADS)
@@ -136,32 +141,6 @@ def test_a_set_is_looked_at_where_steps_of_implicit_euler_would_ask_for_it():
         so.solve(process, t_end=1.0, steps=1)
 
 
-def test_a_stiff_body_under_a_sine_follows_it():
-    for viscosity in (1e-3, 1e-4, 1e-6, 0.0):
-        process = block(so.Sine(2.0, 1.0), viscosity, 1.0)  # 2 sin(2 pi t)
-        how = {"t_end": 6.0, "steps": 60}
-        right = so.solve(process, **how, scheme="exact").u
-        sol = so.solve(process, **how)
-        euler = so.solve(process, **how, scheme="implicit-euler")
-        assert np.abs(sol.u - right).max() <= 0.06 * np.abs(euler.u - right).max()
-        assert sol.plan.scheme.name == "sdirk32"
-        means = np.diff(right, axis=0) / 0.1
-        assert (sol.velocity != 0)[np.abs(means) > 0.05].all()
-
-
-def test_a_square_of_small_viscosity_is_as_accurate_as_the_best():
-    effects = [
-        Viscosity(1e-3),
-        Elasticity(1.0),
-        Friction("bottom", g=0.5),
-        Traction("right", f2=3.0, history=so.Sine(1.0, 1.0)),
-    ]
-    square = skfem.MeshTri().refined(3).with_defaults()
-    scene = antiplane(square, clamped="top", effects=effects)
-    row = judge(StiffRow("", "", 0, 100.0, 20), scene.problem, 2.0, bounds=False)
-    check(row, over_best=1.0)
-
-
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize("name", ["S02", "V05", "P09"])
 def test_sdirk32_is_of_order_two(name):
@@ -181,21 +160,3 @@ def test_without_viscosity_auto_is_better_than_the_best_of_three(name):
         sol = so.solve(this.process, t_end=this.t_end, steps=steps, tol=1e-9)
         best = min(this.errors[scheme][str(steps)] for scheme in BEST_OF)
         assert this.error(sol) <= 1.1 * best
-
-
-def test_the_study_is_a_command_and_a_file(tmp_path, capsys):
-    file = tmp_path / "study.toml"
-    file.write_text(
-        'title = "One"\n[stiff]\nbodies = ["one mass"]\nloads = ["tables"]\n'
-        "stiffness = [100.0, inf]\nsteps = [30]\n"
-    )
-    assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 0
-    table = (tmp_path / "out" / "stiff.csv").read_text().splitlines()
-    assert table[0].split(",") == list(StiffRow._fields)
-    assert len(table) == 3
-    page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "Stiff bodies" in page
-    assert "2 runs, 0 wrong" in page
-    printed = capsys.readouterr().out
-    assert "bound_over_error" in printed
-    assert "sdirk32" in printed

@@ -1,14 +1,13 @@
 """Hard trajectories: the judge against the inclusion, every scheme against the judge."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from study_table import lie
 from test_exact import exact, integral_error, residual
 
 import sweepopt as so
 from sweepopt.integrate import SCHEMES
-from sweepopt.study.hard import suite, trajectories
+from sweepopt.study.hard import trajectories
 from sweepopt.study.hard.suite import GOOD
 from sweepopt.study.hard.trajectories import (
     TRAJECTORIES,
@@ -90,17 +89,9 @@ def test_bounds_are_above_the_error_of_few_steps():
 
 
 def test_the_judge_sees_what_is_wrong(monkeypatch):
-    def lie(scheme="implicit-euler", **changes):
-        """A run of which something is not that of the library."""
-
-        def lying(*process, **settings):
-            sol = so.solve(*process, **settings)
-            said = {name: getattr(sol, name) for name in ("u", "velocity", "energy", "error_bound")}
-            said |= {name: getattr(sol, name) for name in ("plan", "stats", "success", "message")}
-            return SimpleNamespace(**said | {name: f(sol) for name, f in changes.items()})
-
-        monkeypatch.setattr(suite, "solve", lying)
-        return next(runs("ordinary", 0, [scheme]))
+    def judged(scheme="implicit-euler", **changes):
+        lie(monkeypatch, **changes)
+        return next(runs("ordinary", 0, [scheme])).verdict
 
     def euler(sol):
         how = {"t_end": sol.t[-1], "steps": len(sol.velocity)}
@@ -120,15 +111,15 @@ def test_the_judge_sees_what_is_wrong(monkeypatch):
         energy = sol.energy()
         return lambda: energy._replace(viscous=1.5 * energy.viscous)
 
-    assert lie().verdict == "met"
-    assert lie(error_bound=low_bound).verdict == "bound below the error"
+    assert judged() == "met"
+    assert judged(error_bound=low_bound) == "bound below the error"
     monkeypatch.setattr(trajectories, "BOUNDED", 0)
-    assert lie(u=lambda sol: 1.5 * sol.u).verdict == "error above that of the scheme"
-    assert lie("midpoint", u=euler).verdict == "error above that of the scheme"
-    assert lie(velocity=at_rest).verdict == "false stick"
-    assert lie(velocity=never_at_rest).verdict == "false slip"
-    assert lie(energy=unbalanced).verdict == "energy out of balance"
-    assert lie(success=lambda _: False).verdict.startswith("stopped: ")
+    assert judged(u=lambda sol: 1.5 * sol.u) == "error above that of the scheme"
+    assert judged("midpoint", u=euler) == "error above that of the scheme"
+    assert judged(velocity=at_rest) == "false stick"
+    assert judged(velocity=never_at_rest) == "false slip"
+    assert judged(energy=unbalanced) == "energy out of balance"
+    assert judged(success=lambda _: False).startswith("stopped: ")
 
 
 def test_what_must_be_refused_is_missed_if_it_is_not(monkeypatch):

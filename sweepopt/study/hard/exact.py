@@ -99,13 +99,10 @@ def _multipliers(P: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> 
     noise = NOISE * abs(G @ q).max()
     slack = h / scale - G @ q + noise
     y, active = 0 * h, np.zeros(len(h), dtype=bool)
-    for _ in range(STEPS):
-        violated = (slack + G @ (P @ (y @ G)) < -noise) & ~active
-        if not violated.any():
-            return y / scale
+    while (violated := (slack + G @ (P @ (y @ G)) < -noise) & ~active).any():
         active |= violated
         y[active] = _complementary(G[active] @ P @ G[active].T, slack[active])
-    raise SweepoptError("the exact active set was not found")
+    return y / scale
 
 
 def _complementary(H: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -17,15 +17,13 @@ from sweepopt.loads import Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
-from sweepopt.study.cell import REFINED, largest_norm, reference_states
+from sweepopt.study.cell import REFINED, SAFETY, TOL, largest_norm, reference_states
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.suite import Judgement, run_case
+from sweepopt.study.hard.suite import CLEAR, Judgement, run_case
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
 """What the default is to keep: its error over the best one, and its `ringing`."""
-KNOWN = 0.1  # of a bound: a reference that is less certain does not tell whether it holds
-SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 
 Body = tuple[Any, Any, ConvexSet, np.ndarray]
@@ -146,24 +144,24 @@ def stiff_bodies(
     ('sdirk32', True, 0)
     """
     for case in product(bodies, loads, seeds, stiffness, steps):
-        yield judge(StiffRow(*case), make(*case), 1.0, bounds)
+        yield _judge(StiffRow(*case), make(*case), bounds)
 
 
-def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> Any:
-    """The row with what a run of a process is worth."""
-    how: Any = {"t_end": t_end, "steps": row.steps, "tol": 1e-8, "on_unstable": "ignore"}
+def _judge(row: StiffRow, process: SweepingProcess, bounds: bool) -> Any:
+    """The row with what a run of a process on [0, 1] is worth."""
+    how: Any = {"t_end": 1.0, "steps": row.steps, "tol": TOL, "on_unstable": "ignore"}
 
     def compare(sol: Solution, _: bool) -> Judgement:
-        reference = reference_states(process, t_end, row.steps, 1)
+        reference = reference_states(process, 1.0, row.steps, 1)
         fine, exact = reference.u, reference.u[::REFINED]
         moves = np.diff(fine, axis=0).reshape(row.steps, REFINED, -1)
         others = [solve(process, scheme=scheme, **how) for scheme in BEST_OF]
         error, *least = (largest_norm(process, one.u - exact) for one in (sol, *others))
-        between = largest_norm(process, sol(np.linspace(0, t_end, len(fine))) - fine)
+        between = largest_norm(process, sol(np.linspace(0, 1, len(fine))) - fine)
         bound = float(sol.error_bound()) if bounds else math.nan
-        means = moves.sum(axis=1) * row.steps / t_end
+        means = moves.sum(axis=1) * row.steps
         rings, changes = (abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, means))
-        slow = SLIPS * abs(moves).max(axis=(0, 1))
+        slow = CLEAR * abs(moves).max(axis=(0, 1))
         always = (moves > slow).all(axis=1) | (moves < -slow).all(axis=1)
         entries: dict[str, Any] = {
             "scheme": sol.plan.scheme.name,
@@ -175,7 +173,7 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
         }
         return entries, {
             "false stick": entries["false_sticks"],
-            "no reference": bounds and reference.uncertainty > KNOWN * bound,
+            "no reference": bounds and SAFETY * reference.uncertainty > bound,
             "bound below the error": bound < between - reference.uncertainty,
             f"error above {TWICE:g} times the best": entries["over_best"] > TWICE,
             "velocities ring": entries["ringing"] > RINGS,
