@@ -13,7 +13,7 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.fem import output, snapshots
 from sweepopt.fem.contact import STATES, Slip
-from sweepopt.fem.effects import YieldStress, released_matrices
+from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
 from sweepopt.fem.stress import stress_laws
@@ -34,7 +34,7 @@ def refusal(scene: Scene, name: str) -> str:
     dimension, contact = scene.discretisation.mesh.dim(), scene.contact
     one = contact is not None and contact.unknown.ndim == 1
     along = "friction along a boundary", one and contact is not None and contact.on_curve
-    flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
+    flows = any(one.rows.where == "gradient" for one in scene.yields)
     tells = bool(stress_laws(scene))
     plastic = any(hasattr(effect, "plastic_strain") for effect in scene.effects)
     needs = {

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt.fem.contact import STATES, Slip, signed_lengths
-from sweepopt.fem.effects import Traction
 from sweepopt.plot import STICK, even_steps, frame_times, new_figure, write_animation
 
 if TYPE_CHECKING:
@@ -94,7 +93,7 @@ def displacement(report: Report, t: Array) -> Field:
             _mark(report, panel, t[i], x[i])
 
         return Field(curve, x.reshape(-1, 2), "", "length", legend, ("x", "displacement"))
-    pulled = [name for one in report.scene.effects if isinstance(one, Traction) for name in one.on]
+    pulled = [name for one in report.scene.effects for name in getattr(one, "pulled", ())]
     arcs, look = [(body.mesh.boundary_facets(), "black", 0.6)], colours_of(u)
     for what, names, colour in (("clamped", body.clamped, "black"), ("pulled", pulled, PULLED)):
         if names:
@@ -235,9 +234,7 @@ def arrows(report: Report, t: Array) -> Field:
     assert slip is not None
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
     x, speed, use = slip.contact.points[:, plane], slip.speed[steps], slip.use[steps]
-    velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][
-        ..., plane
-    ]
+    velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][..., plane]
     scale = (speed.max() or 1.0) / (0.08 * np.ptp(x[:, 0]))
 
     def draw(panel: Any, i: int) -> Any:
