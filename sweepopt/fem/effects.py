@@ -144,7 +144,7 @@ class Effect(Protocol):
 def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
     """The sum of the effects' matrices."""
     terms = [M for part in parts if (M := getattr(part, name)) is not None]
-    return sum(terms[1:], terms[0]) if terms else None
+    return sum(terms) if terms else None
 
 
 def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:

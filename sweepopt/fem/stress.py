@@ -54,4 +54,4 @@ def plastic_strain_of(scene: Scene, states: Array) -> Array | None:
         for one, at in each
         if hasattr(one, "plastic_strain")
     ]
-    return sum(parts[1:], parts[0]) if parts else None
+    return sum(parts) if parts else None
