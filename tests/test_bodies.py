@@ -372,7 +372,7 @@ def test_a_strangers_effect_is_one_record_and_a_line():
 class Rubber:
     """Friction on a wall, from a file of a user's own."""
 
-    turned: tuple
+    turned: str
 
     def contribute(self, body):
         return Friction(self.turned, g=0.3).contribute(body)
@@ -399,7 +399,7 @@ def test_a_strangers_effects_turn_unknowns_and_serve_plasticity_as_ours_do():
         body(plate, [Viscosity(1.0), material, plastic, friction]).process
         for material, friction in (
             (Steel.own, Friction("left", g=0.3)),
-            (Steel(), Rubber(("left",))),
+            (Steel(), Rubber("left")),
         )
     )
     assert (ours.A != own.A).nnz == (ours.B != own.B).nnz == 0

@@ -765,7 +765,7 @@ class YieldStress(Record):
         place, moves = body.place("on", (BODY,), strains=True), in_time(self.g)
         dx = place.basis.dx
         weight, block = dx.sum(axis=1), body.mesh.dim() * dx.shape[1]
-        share = dx / weight[:, None]
+        share = place.shares
         gradients = np.array([phi[0].grad * np.sqrt(share) for phi in place.basis.basis])
         gradients[0] = -gradients[1:].sum(axis=0)  # a constant has none
         E = body.rows(place.basis, gradients)

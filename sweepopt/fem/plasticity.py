@@ -166,9 +166,8 @@ class Plasticity(Record):
     def plastic_strain(self, body: Discretisation, internal: Array) -> Array:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells)."""
         cells, place, p, _ = self._strains(body, internal)
-        share = place.basis.dx / place.basis.dx.sum(axis=1, keepdims=True)
         strain = np.zeros((len(p), body.mesh.nelements))
-        strain[:, cells] = np.sqrt(2 / 3) * (share * np.linalg.norm(p, axis=3)).sum(axis=2)
+        strain[:, cells] = np.sqrt(2 / 3) * (place.shares * np.linalg.norm(p, axis=3)).sum(axis=2)
         return strain
 
     def _strains(

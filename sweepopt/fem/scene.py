@@ -35,7 +35,7 @@ from sweepopt.fem.effects import (
 )
 from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
-from sweepopt.fem.spaces import Discretisation
+from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.fem.stress import plastic_strain_of, stress_of
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path
@@ -388,18 +388,7 @@ def build(
     title = settings["title"]
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
-    for label, one in effects.items():
-        if isinstance(one, type) or not hasattr(one, "contribute"):
-            raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(one)}")
-    every = list(effects.values())
-    turned = [name for one in every for name in getattr(one, "turned", ())]
-    turned = [name for name in turned if name in (space.mesh.boundaries or {})]
-    if turned and space.components > 1:
-        space = space.with_unknowns(turned=tuple(dict.fromkeys([*space.turned, *turned])))
-    effects = {
-        label: one.among(every, space) if hasattr(one, "among") else one
-        for label, one in effects.items()
-    }
+    space, effects = _composed(space, effects)
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
@@ -441,6 +430,26 @@ def build(
         internal=internal,
         **settings,
     )
+
+
+def _composed(
+    space: Discretisation, effects: Mapping[str, Effect]
+) -> tuple[Discretisation, dict[str, Effect]]:
+    """The space, turned where effects need it, and each effect with what it takes from others."""
+    turned = list(space.turned)
+    for label, one in effects.items():
+        if isinstance(one, type) or not hasattr(one, "contribute"):
+            raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(one)}")
+        if space.components > 1 and hasattr(one, "turned"):
+            names = boundary_names(f"{label}.turned", one.turned)
+            turned += [name for name in names if name in (space.mesh.boundaries or {})]
+    if turned != list(space.turned):
+        space = space.with_unknowns(turned=tuple(dict.fromkeys(turned)))
+    every = list(effects.values())
+    return space, {
+        label: one.among(every, space) if hasattr(one, "among") else one
+        for label, one in effects.items()
+    }
 
 
 def _check_held(space: Discretisation, A: Any, B: Any) -> None:
