@@ -405,6 +405,10 @@ def test_a_strangers_effects_turn_unknowns_and_serve_plasticity_as_ours_do():
     assert (ours.A != own.A).nnz == (ours.B != own.B).nnz == 0
     z = np.random.default_rng(0).standard_normal(ours.dim)
     assert ours.C.support(z) == own.C.support(z)
+    with pytest.raises(
+        so.InputError, match=r"effects\[1\].turned must be a name or distinct names"
+    ):
+        body(plate, [Viscosity(1.0), Rubber(("left", "left"))])
 
 
 # ---- scene files --------------------------------------------------------------------------------
