@@ -368,6 +368,49 @@ def test_a_strangers_effect_is_one_record_and_a_line():
         body(plate, [Viscosity(1.0), Cable(0.9, 1.0)])
 
 
+@dataclass(frozen=True)
+class Rubber:
+    """Friction on a wall, from a file of a user's own."""
+
+    turned: str
+
+    def contribute(self, body):
+        return Friction(self.turned, g=0.3).contribute(body)
+
+
+@dataclass(frozen=True)
+class Steel:
+    """An elasticity from a file of a user's own."""
+
+    own = Elasticity(E=2.0, nu=0.3)
+
+    def contribute(self, body):
+        return self.own.contribute(body)
+
+    def lame(self, body, place):
+        return self.own.lame(body, place)
+
+
+def test_a_strangers_effects_turn_unknowns_and_serve_plasticity_as_ours_do():
+    slanted = grid([1.0, 1.0], [3, 3], points=["x + 0.4 * y", "y"])
+    plate = Discretisation(slanted, "right", kind="plane strain")
+    plastic = fem.Plasticity(sigma_y=1.0, Hk=0.5)
+    ours, own = (
+        body(plate, [Viscosity(1.0), material, plastic, friction]).process
+        for material, friction in (
+            (Steel.own, Friction("left", g=0.3)),
+            (Steel(), Rubber("left")),
+        )
+    )
+    assert (ours.A != own.A).nnz == (ours.B != own.B).nnz == 0
+    z = np.random.default_rng(0).standard_normal(ours.dim)
+    assert ours.C.support(z) == own.C.support(z)
+    with pytest.raises(
+        so.InputError, match=r"effects\[1\].turned must be a name or distinct names"
+    ):
+        body(plate, [Viscosity(1.0), Rubber(("left", "left"))])
+
+
 # ---- scene files --------------------------------------------------------------------------------
 
 SCENE = {

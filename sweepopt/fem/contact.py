@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Array, Coefficient, Indices, SlipLaw, in_time
+from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 
-BOUND = Coefficient("g", 0.0, finite=False)
-PRESSURE = Coefficient("p", 0.0)
 STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
 
 
@@ -310,9 +308,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
 
 def _thresholds(law: Friction, place: Place, size: int, t: float) -> Array:
     """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
-    factors = [place.values(BOUND, law.g, t)]
-    if law.p is not None:
-        factors.append(place.values(PRESSURE, law.p, t))
+    factors = list(law.values_at(place, t))
     if law.history is not None:
         phi = np.asarray(law.history(t), dtype=float)
         if not phi >= 0:

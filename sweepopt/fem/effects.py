@@ -32,7 +32,7 @@ from skfem.helpers import dot
 from sweepopt.checks import choice, listed, matrix, number, vector
 from sweepopt.display import Brief, by_parts
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
+from sweepopt.fem.contact import Rows, Yield, friction_on
 from sweepopt.fem.fields import Array, Coefficient, Datum, SlipLaw, in_time
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
 from sweepopt.loads import History
@@ -40,14 +40,7 @@ from sweepopt.loads import History
 Phi = Callable[[float], Any]
 Force = tuple[Phi, Array | Callable[[float], Array]] | Callable[[float], Array]
 
-ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
-KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
-YIELD, ON_ETA, ON_K = Coefficient("g", 0.0), Coefficient("eta", 0.0), Coefficient("k", 0.0)
-STRAIN = Coefficient("strain")
-DISPLACEMENT, F0, F2, FORCE = (
-    Coefficient(name, vector=True) for name in ("d", "f0", "f2", "force")
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,6 +84,7 @@ class Kinematics(NamedTuple):
 
 
 Stress = Callable[[Kinematics], Array]
+Moduli = Callable[[Discretisation, Place], tuple[Any, Any]]
 
 
 class Effect(Protocol):
@@ -101,10 +95,20 @@ class Effect(Protocol):
     unknowns. A `Contribution` may hold ``A=`` (of u'), ``B=`` (of u), ``loads=[(history, f)]``, and
     ``yields=``, rows of the velocity whose forces are bounded, as in the example.
 
-    An effect that makes a stress may have a method ``stress(body)`` too. It returns None if the
-    stress is not known, else a function of the motion: of ``motion.u`` and ``motion.rate`` (at all
-    nodes at k times, as `Scene.displacement`) and ``motion.internal``. That function returns the
-    deviator at the points of strains, shape (k, cells, points, s).
+    An effect may have more, as it needs it:
+
+    - ``stress(body)``, of one that makes a stress: None if the stress is not known, else a function
+      of the motion: of ``motion.u`` and ``motion.rate`` (at all nodes at k times, as
+      `Scene.displacement`) and ``motion.internal``. It returns the deviator at the points of
+      strains, shape (k, cells, points, s).
+    - ``plastic_strain(body, internal)``: sqrt(2/3) |p| of its internal unknowns, shape (k, cells).
+    - ``lame(body, place)``, of an elasticity: lam and mu at the points of a quadrature, which
+      `Plasticity` takes.
+    - ``turned``: boundaries on which it acts on the normal or the tangents, so that unknowns are
+      to be the components along these.
+    - ``pulled``: boundaries that pictures mark as pulled.
+    - ``among(effects, body)``: the effect beside all others of its scene, completed by what it
+      takes from them; it raises if it does not go with them.
 
     Examples
     --------
@@ -140,13 +144,13 @@ class Effect(Protocol):
 def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
     """The sum of the effects' matrices."""
     terms = [M for part in parts if (M := getattr(part, name)) is not None]
-    return sum(terms[1:], terms[0]) if terms else None
+    return sum(terms) if terms else None
 
 
-def shear_stress(body: Discretisation, law: Any, u: Array) -> Array:
+def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
     """2 mu dev e(u) at the points of strains, shape (k, cells, points, s)."""
     place = body.place("stress", (BODY,), strains=True)
-    lam, mu = law.moduli(body, place)
+    lam, mu = moduli(body, place)
     free = body.with_unknowns(clamped=(), held={}, turned=())
     rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
     strain = (rows @ u.reshape(len(u), -1).T).T.reshape(len(u), *place.basis.dx.shape, -1)
@@ -189,9 +193,10 @@ class Record:
             if coefficient.name in given:
                 coefficient.check(given[coefficient.name])
 
-    def values_at(self, place: Place, *coefficients: Coefficient) -> Iterator[Array]:
-        """Their values at the points of a quadrature."""
-        return (place.values(one, getattr(self, one.name)) for one in coefficients)
+    def values_at(self, place: Place, t: float | None = None) -> Iterator[Array]:
+        """Values of the data that are given, at the points of a quadrature (and a time)."""
+        given = ((one, getattr(self, one.name)) for one in self.data)
+        return (place.values(one, datum, t) for one, datum in given if datum is not None)
 
 
 @dataclass(frozen=True)
@@ -230,7 +235,7 @@ class Viscosity(Record):
     zeta: Datum = 0.0
     tensor: ArrayLike | None = None
 
-    data = ETA, ZETA
+    data = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
 
     def __post_init__(self) -> None:
         _one_of(self, ("eta",), ("tensor",))
@@ -238,17 +243,17 @@ class Viscosity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        place = body.place("eta", (BODY,), strains=True)
-        return Contribution(A=_stiffness(body, place, *self.moduli(body, place), self.tensor))
+        return Contribution(A=_stiffness(body, self._viscosities, self.tensor))
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 eta dev e(u')."""
-        return None if self.eta is None else lambda motion: shear_stress(body, self, motion.rate)
+        law = self._viscosities
+        return None if self.eta is None else lambda motion: shear_stress(body, law, motion.rate)
 
-    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+    def _viscosities(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """zeta and eta at the points of a quadrature; eta is None where a tensor is given."""
-        eta = None if self.eta is None else place.values(ETA, self.eta)
-        return place.values(ZETA, self.zeta), eta
+        *eta, zeta = self.values_at(place)
+        return zeta, eta[0] if eta else None
 
 
 @dataclass(frozen=True)
@@ -287,7 +292,13 @@ class Elasticity(Record):
     mu: Datum | None = None
     tensor: ArrayLike | None = None
 
-    data = KAPPA, YOUNG, POISSON, LAM, MU
+    data = (
+        Coefficient("kappa", 0.0),
+        YOUNG,
+        POISSON,
+        Coefficient("lam"),
+        Coefficient("mu", 0.0),
+    )
 
     def __post_init__(self) -> None:
         _one_of(self, ("kappa",), ("E", "nu"), ("lam", "mu"), ("tensor",))
@@ -295,29 +306,28 @@ class Elasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
-        place = body.place("kappa", (BODY,), strains=True)
-        B = _stiffness(body, place, *self.moduli(body, place), self.tensor)
+        B = _stiffness(body, self.lame, self.tensor)
         return Contribution(B=B if B.count_nonzero() else None)
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 mu dev e(u)."""
         known = self.tensor is None
-        return (lambda motion: shear_stress(body, self, motion.u)) if known else None
+        return (lambda motion: shear_stress(body, self.lame, motion.u)) if known else None
 
-    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+    def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
         lam: Any = 0.0
         mu: Any = None
         if self.kappa is not None:
             if body.components > 1:
                 raise InputError("kappa is for antiplane shear; give E and nu, or lam and mu")
-            (mu,) = self.values_at(place, KAPPA)
+            (mu,) = self.values_at(place)
         elif self.E is not None:
-            E, nu = self.values_at(place, YOUNG, POISSON)
+            E, nu = self.values_at(place)
             _check_compressible(nu)
             lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
         elif self.lam is not None:
-            lam, mu = self.values_at(place, LAM, MU)
+            lam, mu = self.values_at(place)
             if (3 * lam + 2 * mu).min() < 0:
                 raise InputError("lam must be at least -2/3 mu everywhere")
         return lam, mu
@@ -351,11 +361,11 @@ class Dashpot(Record):
     on: Sequence[str]
     eta: Datum
     along: str = "all"
-    data = (ON_ETA,)
+    data = (Coefficient("eta", 0.0),)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=body.restrict(_mass(body, self.on, ON_ETA, self.eta, self.along)))
+        return Contribution(A=body.restrict(_mass(body, self)))
 
 
 @dataclass(frozen=True)
@@ -390,11 +400,11 @@ class Foundation(Record):
     k: Datum
     along: str = "all"
     moved: Phi | None = None
-    data = (ON_K,)
+    data = (Coefficient("k", 0.0),)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B, and the load of what moves."""
-        B = _mass(body, self.on, ON_K, self.k, self.along)
+        B = _mass(body, self)
         loads: list[Force] = []
         if self.moved is not None:
             if body.components > 1 and self.along not in AXES:
@@ -455,7 +465,7 @@ class Friction(Record):
     history: Phi | None = None
     axes: Sequence[float] | None = None
     slip: SlipLaw | None = None
-    data = BOUND, PRESSURE
+    data = Coefficient("g", 0.0, finite=False), Coefficient("p", 0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -467,6 +477,11 @@ class Friction(Record):
         if self.axes is not None:
             axes = [number("axes", one, 0.0, strict=True) for one in listed("axes", self.axes)]
             object.__setattr__(self, "axes", tuple(axes))
+
+    @property
+    def turned(self) -> Sequence[str]:
+        """Where it acts on tangents."""
+        return self.on
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""
@@ -499,11 +514,11 @@ class BodyForce(Record):
 
     history: Phi
     f0: Datum | Sequence[Datum] = 1.0
-    data = (F0,)
+    data = (Coefficient("f0", vector=True),)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(loads=[_force(body, F0, self.f0, self.history, (BODY,))])
+        return Contribution(loads=[_force(body, self, self.f0, (BODY,))])
 
 
 @dataclass(frozen=True)
@@ -535,12 +550,17 @@ class Traction(Record):
     on: Sequence[str]
     history: Phi
     f2: Datum | Sequence[Datum] = 1.0
-    data = (F2,)
+    data = (Coefficient("f2", vector=True),)
+
+    @property
+    def pulled(self) -> Sequence[str]:
+        """What pictures mark."""
+        return self.on
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
         body.facets("on", self.on)
-        return Contribution(loads=[_force(body, F2, self.f2, self.history, self.on)])
+        return Contribution(loads=[_force(body, self, self.f2, self.on)])
 
 
 @dataclass(frozen=True)
@@ -572,11 +592,11 @@ class PointForce(Record):
     at: ArrayLike
     history: Phi
     force: float | Sequence[float] = 1.0
-    data = (FORCE,)
+    data = (Coefficient("force", vector=True),)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        values = vector("force", FORCE.parts(self.force, body.components))
+        values = vector("force", self.data[0].parts(self.force, body.components))
         at = vector("at", self.at, body.mesh.dim())
         try:
             shape = body.scalar.probes(at[:, None]).toarray()[0]
@@ -620,7 +640,7 @@ class PrescribedDisplacement(Record):
     on: Sequence[str]
     history: History
     d: Datum | Sequence[Datum] = 1.0
-    data = (DISPLACEMENT,)
+    data = (Coefficient("d", vector=True),)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -633,12 +653,10 @@ class PrescribedDisplacement(Record):
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
         body.facets("on", self.on)
-        place = body.place("on", self.on, nodal=True)
+        place, (coefficient,) = body.place("on", self.on, nodal=True), self.data
         full = np.zeros(body.nodes.size)
-        for dofs, datum in zip(
-            body.nodes, DISPLACEMENT.parts(self.d, body.components), strict=True
-        ):
-            full[dofs[place.nodes.T]] = place.values(DISPLACEMENT, datum)
+        for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
+            full[dofs[place.nodes.T]] = place.values(coefficient, datum)
         T = body.frame.T
         along = T.T @ full
         along[body.free] = 0.0
@@ -683,18 +701,27 @@ class Eigenstrain(Record):
     strain: Datum
     E: Datum
     nu: Datum
-    data = STRAIN, YOUNG, POISSON
+    data = Coefficient("strain"), YOUNG, POISSON
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
         if body.components == 1:
             raise InputError("strain: an isotropic strain does nothing in antiplane shear")
         place = body.place("strain", (BODY,), strains=True)
-        strain, E, nu = self.values_at(place, *self.data)
+        strain, E, nu = self.values_at(place)
         _check_compressible(nu)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
         f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
         return Contribution(loads=[(self.history, body.restrict(f))])
+
+    def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:
+        """In plane stress not beside plasticity."""
+        if body.kind == "plane stress" and any(hasattr(one, "plastic_strain") for one in effects):
+            raise InputError(
+                "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
+                "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
+            )
+        return self
 
     def stress(self, body: Discretisation) -> Stress | None:
         """It has no deviator, but for that of the strain across the plane in plane stress."""
@@ -726,7 +753,7 @@ class YieldStress(Record):
     """
 
     g: Datum
-    data = (YIELD,)
+    data = (Coefficient("g", 0.0),)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The gradients that yield; none if g is zero everywhere."""
@@ -738,14 +765,15 @@ class YieldStress(Record):
         place, moves = body.place("on", (BODY,), strains=True), in_time(self.g)
         dx = place.basis.dx
         weight, block = dx.sum(axis=1), body.mesh.dim() * dx.shape[1]
-        share = dx / weight[:, None]
+        share = place.shares
         gradients = np.array([phi[0].grad * np.sqrt(share) for phi in place.basis.basis])
         gradients[0] = -gradients[1:].sum(axis=0)  # a constant has none
         E = body.rows(place.basis, gradients)
         E.eliminate_zeros()
 
         def bound(t: float) -> Array:
-            return np.asarray((place.values(YIELD, self.g, t) * share).sum(axis=1))
+            (g,) = self.values_at(place, t)
+            return np.asarray((g * share).sum(axis=1))
 
         keep = (np.diff(E.indptr[::block]) > 0) & (moves | (bound(0.0) > 0))
         if not keep.any():
@@ -916,7 +944,7 @@ def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_a
     return body.rows(basis, values)
 
 
-def _moduli(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[int, int], Any]:
+def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[int, int], Any]:
     """Entries of Hooke's law that are not zero, at the points of the quadrature."""
     d = body.mesh.dim()
     size = d if body.components == 1 else d * (d + 1) // 2
@@ -935,9 +963,10 @@ def _moduli(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[
     return law | {(i, i): mu for i in range(d, size)}
 
 
-def _stiffness(body: Discretisation, place: Place, lam: Any, mu: Any, tensor: Any) -> sp.csc_array:
+def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
-    strain, law = strains_of(body), _moduli(body, lam, mu, tensor)
+    place = body.place("on", (BODY,), strains=True)
+    strain, law = strains_of(body), _hooke(body, *moduli(body, place), tensor)
 
     def form(u: Any, v: Any, _: Any) -> Any:
         a, b = strain(u), strain(v)
@@ -947,12 +976,10 @@ def _stiffness(body: Discretisation, place: Place, lam: Any, mu: Any, tensor: An
     return restricted
 
 
-def _mass(
-    body: Discretisation, on: Sequence[str], coefficient: Coefficient, datum: Datum, along: str
-) -> sp.csc_array:
+def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v of the components along a direction, of all degrees of freedom."""
-    place = body.place("on", tuple(on), nodal=body.lumped)
-    c, facets = place.values(coefficient, datum), hasattr(place.basis, "normals")
+    place, along = body.place("on", effect.on, nodal=body.lumped), effect.along
+    (c,), facets = effect.values_at(place), hasattr(place.basis, "normals")
     known = ["all"]
     if body.components > 1:
         known += [*(["n", "t"] if facets else []), *AXES[: body.components]]
@@ -972,10 +999,10 @@ def _mass(
 
 
 def _force(
-    body: Discretisation, coefficient: Coefficient, data: Any, history: Phi, on: Sequence[str]
+    body: Discretisation, effect: BodyForce | Traction, data: Any, on: Sequence[str]
 ) -> Force:
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
-    place = body.place("on", on, nodal=body.lumped)
+    place, (coefficient,) = body.place("on", on, nodal=body.lumped), effect.data
     several = isinstance(data, (list, tuple))
     along_normal = not several and tuple(on) != (BODY,)
     parts = coefficient.parts(data, 1 if along_normal else body.components)
@@ -991,6 +1018,4 @@ def _force(
 
         return np.asarray(body.restrict(place.vector(form)))
 
-    if any(map(in_time, parts)):
-        return history, shape
-    return history, shape(0.0)
+    return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

@@ -19,7 +19,7 @@ an elastic body, -lam/(lam + 2 G) (e_xx + e_yy).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -92,12 +92,21 @@ class Plasticity(Record):
     elasticity: Elasticity | None = field(default=None, init=False)
     data = COEFFICIENTS
 
+    def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:
+        """With the elasticity of the scene, if there is one."""
+        elastic = [one for one in effects if hasattr(one, "lame")]
+        if len(elastic) != 1:
+            return self
+        complete = replace(self)
+        object.__setattr__(complete, "elasticity", elastic[0])
+        return complete
+
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
         place = body.place("on", self.on, strains=True)
         if not isinstance(place.basis, skfem.CellBasis):
             raise InputError("on: name subdomains, or 'body', not boundaries")
-        sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place, *self.data))
+        sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place))
         at_points = self._moduli(body, place)
         lam, mu = map(np.ravel, at_points)
         _check_hardening(Hk, Hi, eta, mu)
@@ -136,7 +145,7 @@ class Plasticity(Record):
         """lam and mu at points."""
         if self.elasticity is None:
             raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
-        lam, mu = self.elasticity.moduli(body, place)
+        lam, mu = self.elasticity.lame(body, place)
         if mu is None:
             raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
         return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
@@ -157,9 +166,8 @@ class Plasticity(Record):
     def plastic_strain(self, body: Discretisation, internal: Array) -> Array:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells)."""
         cells, place, p, _ = self._strains(body, internal)
-        share = place.basis.dx / place.basis.dx.sum(axis=1, keepdims=True)
         strain = np.zeros((len(p), body.mesh.nelements))
-        strain[:, cells] = np.sqrt(2 / 3) * (share * np.linalg.norm(p, axis=3)).sum(axis=2)
+        strain[:, cells] = np.sqrt(2 / 3) * (place.shares * np.linalg.norm(p, axis=3)).sum(axis=2)
         return strain
 
     def _strains(
@@ -169,23 +177,10 @@ class Plasticity(Record):
         place = body.place("on", self.on, strains=True)
         shape = len(internal), *place.basis.dx.shape
         beside = place.basis.dx.size if body.kind == "plane stress" else 0
-        _, _, Hi, _ = self.values_at(place, *self.data)
+        _, _, Hi, _ = self.values_at(place)
         zz = internal[:, :beside].reshape(shape if beside else (0,))
         p = internal[:, beside:].reshape(*shape, -1)[..., int(Hi.any()) :].copy()
         return np.arange(body.mesh.nelements)[place.basis.tind].ravel(), place, p, zz
-
-
-def with_elasticity(effects: Iterable[Effect]) -> list[Effect]:
-    """The effects; plasticity that names no elasticity has that of the scene."""
-    effects = list(effects)
-    elastic = [one for one in effects if isinstance(one, Elasticity)]
-    if len(elastic) != 1:
-        return effects
-    for k, one in enumerate(effects):
-        if isinstance(one, Plasticity):
-            effects[k] = replace(one)
-            object.__setattr__(effects[k], "elasticity", elastic[0])
-    return effects
 
 
 def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:

@@ -29,16 +29,13 @@ from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
     Effect,
-    Eigenstrain,
     Force,
-    Friction,
     released_matrices,
     total,
 )
 from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
-from sweepopt.fem.plasticity import Plasticity, with_elasticity
-from sweepopt.fem.spaces import Discretisation
+from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.fem.stress import plastic_strain_of, stress_of
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path
@@ -391,11 +388,7 @@ def build(
     title = settings["title"]
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
-    rubbing = [name for one in effects.values() if isinstance(one, Friction) for name in one.on]
-    turned = [name for name in rubbing if name in (space.mesh.boundaries or {})]
-    if turned and space.components > 1:
-        space = space.with_unknowns(turned=tuple(dict.fromkeys([*space.turned, *turned])))
-    effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
+    space, effects = _composed(space, effects)
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
@@ -410,7 +403,7 @@ def build(
     lifts = tuple(part.lift for part in parts if part.lift is not None)
     yields = tuple(one for part in parts for one in part.yields)
     _check_held(space, A, B)
-    _check_together(space, effects, yields, lifts, internal=size > space.dim)
+    _check_lifts(space, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size - space.dim)
@@ -439,6 +432,26 @@ def build(
     )
 
 
+def _composed(
+    space: Discretisation, effects: Mapping[str, Effect]
+) -> tuple[Discretisation, dict[str, Effect]]:
+    """The space, turned where effects need it, and each effect with what it takes from others."""
+    turned = list(space.turned)
+    for label, one in effects.items():
+        if isinstance(one, type) or not hasattr(one, "contribute"):
+            raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(one)}")
+        if space.components > 1 and hasattr(one, "turned"):
+            names = boundary_names(f"{label}.turned", one.turned)
+            turned += [name for name in names if name in (space.mesh.boundaries or {})]
+    if turned != list(space.turned):
+        space = space.with_unknowns(turned=tuple(dict.fromkeys(turned)))
+    every = list(effects.values())
+    return space, {
+        label: one.among(every, space) if hasattr(one, "among") else one
+        for label, one in effects.items()
+    }
+
+
 def _check_held(space: Discretisation, A: Any, B: Any) -> None:
     """Refuse a body of which a piece moves freely."""
     matrices = [M for M in (A, B) if M is not None]
@@ -456,36 +469,21 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
         )
 
 
-def _check_together(
-    space: Discretisation,
-    effects: Mapping[str, Effect],
-    yields: Sequence[Yield],
-    lifts: Sequence[Any],
-    internal: bool,
+def _check_lifts(
+    space: Discretisation, yields: Sequence[Yield], lifts: Sequence[Any], internal: bool
 ) -> None:
-    """Refuse effects that do not go with one another."""
-    kinds = {type(effect) for effect in effects.values()}
-    if space.kind == "plane stress" and {Plasticity, Eigenstrain} <= kinds:
-        raise InputError(
-            "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
-            "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
-        )
+    """Refuse a prescribed displacement that something nonsmooth or internal would see."""
     bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
     if lifts and (bound or internal):
         raise InputError(
             "effects: with a prescribed displacement there is no yield stress, one-way velocity, "
             "Maxwell branch or plasticity, which would see it; drive the body by a traction"
         )
-    _check_rubs(space, yields, lifts)
-
-
-def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[Any]) -> None:
-    """Refuse friction at nodes where a tangent is held and moved: |v| would lack its rub."""
     frame = space.frame
     for node, where in [(one.contact.node, one.rows.where) for one in yields if one.contact]:
         normal_alone = (frame.held[node] == 1) & ~frame.normal[node] & (where == "trace")
         dofs = space.nodes[:, node[~normal_alone]]
-        if any(d[dofs].any() for _, d in lifts):
+        if any(d[dofs].any() for _, d in lifts):  # |v| would lack it
             raise InputError(
                 "effects: a prescribed displacement moves a tangent of a boundary with "
                 "friction, whose slip would lack it; prescribe it elsewhere"
@@ -522,8 +520,6 @@ def _contribution(
     label: str, effect: Effect, space: Discretisation, t_end: float | None
 ) -> Contribution:
     """What an effect adds; its history must cover the run."""
-    if isinstance(effect, type) or not hasattr(effect, "contribute"):
-        raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
     own = type(effect).__module__.startswith(__package__)
     if not (own or label.startswith("effects.")):
         label = f"{type(effect).__name__}: {label}"

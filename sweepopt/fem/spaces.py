@@ -480,6 +480,11 @@ class Place(NamedTuple):
         points = self.basis.global_coordinates()
         return coefficient.values(datum, points, self.groups, t)
 
+    @property
+    def shares(self) -> Array:
+        """Weights of the points in means over their cells, shape (cells, points)."""
+        return np.asarray(self.basis.dx / self.basis.dx.sum(axis=1, keepdims=True))
+
     def matrix(self, form: Callable[..., Any]) -> sp.csc_array:
         """Integrals of form(u, v, w) for all degrees of freedom."""
         return sp.csc_array(skfem.BilinearForm(form).assemble(self.basis))

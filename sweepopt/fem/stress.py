@@ -40,8 +40,8 @@ def stress_of(scene: Scene, solution: Solution, t: Array) -> Array | None:
     total = np.zeros((len(u), 1, 1, 1))
     for law, at in laws:
         total = total + law(Kinematics(u, rate, states[:, at]))
-    dx = body.place("stress", (BODY,), strains=True).basis.dx
-    mean = np.einsum("cp,kcps->kcs", dx / dx.sum(axis=1, keepdims=True), total)
+    shares = body.place("stress", (BODY,), strains=True).shares
+    mean = np.einsum("cp,kcps->kcs", shares, total)
     size: Array = np.linalg.norm(mean, axis=2) * np.sqrt(0.5 if body.components == 1 else 1.5)
     return size
 
@@ -54,4 +54,4 @@ def plastic_strain_of(scene: Scene, states: Array) -> Array | None:
         for one, at in each
         if hasattr(one, "plastic_strain")
     ]
-    return sum(parts[1:], parts[0]) if parts else None
+    return sum(parts) if parts else None
