@@ -235,9 +235,7 @@ def arrows(report: Report, t: Array) -> Field:
     assert slip is not None
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
     x, speed, use = slip.contact.points[:, plane], slip.speed[steps], slip.use[steps]
-    velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][
-        ..., plane
-    ]
+    velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][..., plane]
     scale = (speed.max() or 1.0) / (0.08 * np.ptp(x[:, 0]))
 
     def draw(panel: Any, i: int) -> Any:
