@@ -16,8 +16,7 @@ import numpy as np
 from sweepopt import checks
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, first_root, histories
-from sweepopt.integrate.exact.face import Face, face_after
-from sweepopt.integrate.exact.rows import Rows, rows_of
+from sweepopt.integrate.exact.rows import Face, Rows, face_after, rows_of
 from sweepopt.integrate.record import Run, Step
 from sweepopt.linalg import EPS, Factor
 from sweepopt.problem import SweepingProcess
