@@ -33,10 +33,13 @@ from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.exact import ROUNDING
-from sweepopt.study.hard.suite import CLEAR, TARGET, Judgement, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, run_case
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
 BOUNDED = 600  # steps: bounds of longer runs take minutes
+CLEAR = 0.1
+"""A body slips clearly in a step if its mean velocities in the halves of this and of those beside
+it have one sign and are above CLEAR of the largest of all times."""
 
 USUAL, HARD = read_toml(Path(__file__).with_suffix(".toml")).values()
 DRAWN = ("mu_Lam", "A", "g", "load", "period", "offset")  # for each unknown
