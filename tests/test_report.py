@@ -176,7 +176,6 @@ def test_the_table_holds_every_cell_the_failed_ones_first(browser):
 @pytest.mark.parametrize(
     "call, words",
     [
-        (lambda path: write_report(study_table()[["problem"]], path), "table lacks the columns"),
         (lambda path: write_report(None, path), "there are no hard cases: nothing to report"),
         (lambda path: write_report(study_table(), path / "no" / "a.html"), "there is no folder"),
         (lambda path: write_report(study_table(), path.parent), "cannot be written there"),

@@ -151,12 +151,3 @@ def test_sdirk32_is_of_order_two(name):
     order = slope(grids, errors)
     assert order >= 1.9
     assert errors[0] <= 1.9 * min(this.errors[scheme]["101"] for scheme in BEST_OF)
-
-
-@pytest.mark.parametrize("name", ["M16", "M17", "E20"])
-def test_without_viscosity_auto_is_better_than_the_best_of_three(name):
-    this = case(name)
-    for steps in (101, 1009):
-        sol = so.solve(this.process, t_end=this.t_end, steps=steps, tol=1e-9)
-        best = min(this.errors[scheme][str(steps)] for scheme in BEST_OF)
-        assert this.error(sol) <= 1.1 * best

@@ -27,9 +27,6 @@ from sweepopt.results import Solution
 TARGET = 1e-8
 """Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
 may add to the error of its scheme, in units of the way that the bodies go."""
-CLEAR = 0.05
-"""A body slips clearly while its mean velocities in parts of steps have one sign and are above
-CLEAR of the largest of all times: slower ones may be rounding."""
 GOOD = ("met", "warned", "refused")
 """Verdicts of right answers; a run that warns says that its scheme may be wrong."""
 Judgement = tuple[dict[str, Any], dict[str, Any]]

@@ -33,10 +33,13 @@ from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.exact import ROUNDING
-from sweepopt.study.hard.suite import CLEAR, TARGET, Judgement, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, run_case
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
 BOUNDED = 600  # steps: bounds of longer runs take minutes
+CLEAR, EVEN = 0.1, 0.5
+"""A body slips clearly in a step if its mean velocities in the halves of this and of those beside
+it are above CLEAR of the largest of all times and above EVEN of the largest of theirs."""
 
 USUAL, HARD = read_toml(Path(__file__).with_suffix(".toml")).values()
 DRAWN = ("mu_Lam", "A", "g", "load", "period", "offset")  # for each unknown
@@ -269,12 +272,12 @@ def _sum_of_local_errors(case: Case, scheme: Scheme, order: int) -> float:
 
 
 def _slips_clearly(exact: np.ndarray) -> np.ndarray:
-    """For all steps but the first and the last, by the halves of this and of those beside it."""
-    moves = np.diff(exact, axis=0)
-    six = sliding_window_view(moves, 6, axis=0)[::2]
-    # the least of the six, negative where they have not one sign
-    least = np.maximum(six.min(axis=-1), -six.max(axis=-1))
-    return least > CLEAR * abs(moves).max(axis=0)
+    """For all steps but the first and the last, from states at nodes and middles of steps."""
+    six = sliding_window_view(np.diff(exact, axis=0), 6, axis=0)[::2]
+    low, high = six.min(axis=-1), six.max(axis=-1)
+    # the least is negative where the six have not one sign
+    least, largest = np.maximum(low, -high), np.maximum(high, -low)
+    return (least > EVEN * largest) & (least > CLEAR * largest.max(axis=0))
 
 
 def _rests(case: Case, c: Sequence[float], u: np.ndarray) -> np.ndarray:
