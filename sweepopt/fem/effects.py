@@ -106,7 +106,8 @@ class Effect(Protocol):
       `Plasticity` takes.
     - ``turned``: boundaries on which it acts on the normal or the tangents, so that unknowns are
       to be the components along these.
-    - ``pulled``: boundaries that pictures mark as pulled.
+    - ``pulled``: boundaries that pictures mark as pulled; ``flows``: True if the body may have
+      plugs, which the picture "flow" shows.
     - ``among(effects, body)``: the effect beside all others of its scene, completed by what it
       takes from them; it raises if it does not go with them.
 
@@ -753,7 +754,7 @@ class YieldStress(Record):
     """
 
     g: Datum
-    data = (Coefficient("g", 0.0),)
+    data, flows = (Coefficient("g", 0.0),), True
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The gradients that yield; none if g is zero everywhere."""

@@ -34,7 +34,7 @@ def refusal(scene: Scene, name: str) -> str:
     dimension, contact = scene.discretisation.mesh.dim(), scene.contact
     one = contact is not None and contact.unknown.ndim == 1
     along = "friction along a boundary", one and contact is not None and contact.on_curve
-    flows = any(one.rows.where == "gradient" for one in scene.yields)
+    flows = any(getattr(effect, "flows", False) for effect in scene.effects)
     tells = bool(stress_laws(scene))
     plastic = any(hasattr(effect, "plastic_strain") for effect in scene.effects)
     needs = {
@@ -220,7 +220,7 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     """
     body, t = scene.discretisation, solution.t
     u = solution.u[:, : body.dim]
-    springs: Any = [one for one in scene.effects if getattr(one, "moved", None) is not None]
+    springs: Any = [one for one in scene.effects if hasattr(one, "shift") and one.moved is not None]
     curves = []
     for spring in springs:
         d, ((_, k),) = np.array(list(map(spring.moved, t))), spring.contribute(body).loads
