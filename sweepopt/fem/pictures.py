@@ -220,7 +220,9 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     """
     body, t = scene.discretisation, solution.t
     u = solution.u[:, : body.dim]
-    springs: Any = [one for one in scene.effects if hasattr(one, "shift") and one.moved is not None]
+    springs: Any = [
+        one for one in scene.effects if hasattr(one, "shift") and getattr(one, "moved", None)
+    ]
     curves = []
     for spring in springs:
         d, ((_, k),) = np.array(list(map(spring.moved, t))), spring.contribute(body).loads
