@@ -156,12 +156,9 @@ def _deformed(
         how = {"clim": (0.0, look["vmax"]), "cmap": look["cmap"], "show_scalar_bar": False}
         plotter.add_mesh(shape, scalars=faces[i], show_edges=True, lighting=False, **how)
         if contact is not None:
-            spots, colours = (
-                moved[i, contact.node],
-                to_rgba_array(_colours(report, t[i]))[:, :3],
-            )
+            colours = to_rgba_array(_colours(report, t[i]))[:, :3]
             how = {"render_points_as_spheres": True, "point_size": 12, "lighting": False}
-            plotter.add_points(spots, scalars=colours[:, :3], rgb=True, **how)
+            plotter.add_points(moved[i, contact.node], scalars=colours, rgb=True, **how)
         plotter.show_axes()
         plotter.view_vector((0.5, -0.9, 0.6 - 1.2 * below), viewup=(0.0, 0.0, 1.0))
         plotter.camera.zoom(1.2)
