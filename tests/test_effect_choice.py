@@ -388,3 +388,9 @@ def _file(folder, text):
     path = folder / "scene.toml"
     path.write_text(text, encoding="utf-8")
     return str(path)
+
+
+def test_none_is_no_value_of_a_coefficient_that_must_be_given():
+    space = Discretisation(grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
+    with pytest.raises(InputError, match=r"effects\[1\]\.g is nan; give a number"):
+        body(space, [Elasticity(E=10.0, nu=0.3), Friction("bottom", g=None)])

@@ -196,8 +196,10 @@ class Record:
 
     def values_at(self, place: Place, t: float | None = None) -> Iterator[Array]:
         """Values of the data that are given, at the points of a quadrature (and a time)."""
-        given = ((one, getattr(self, one.name)) for one in self.data)
-        return (place.values(one, datum, t) for one, datum in given if datum is not None)
+        for one in self.data:
+            datum = getattr(self, one.name)
+            if datum is not None or getattr(type(self), one.name, 0.0) is not None:  # not optional
+                yield place.values(one, datum, t)
 
 
 @dataclass(frozen=True)
