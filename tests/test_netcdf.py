@@ -44,6 +44,11 @@ def test_every_variable_is_described_in_si_units(written):
     }
 
 
+def test_the_file_of_a_scene_is_for_xarray_and_no_solution_to_load(written):
+    with pytest.raises(so.InputError, match=r"u at the end alone: read it with xarray\.open_data"):
+        so.Solution.load(written.encoding["source"])
+
+
 def test_the_solution_is_on_all_nodes(report, written):
     scene, solution, slip = report.scene, report.solution, report.slip
     body, nodes = scene.discretisation, written.contact_node.values

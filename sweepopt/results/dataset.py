@@ -50,18 +50,18 @@ class _Storage(FileIO):
     def write(self, data: Any) -> int:
         rest = memoryview(data).cast("B")
         size = len(rest)
-        with self._failing_once():
+        with self._record_failure():
             while rest and not self.failure:
                 rest = rest[super().write(rest) :]
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        with self._failing_once():
+        with self._record_failure():
             return 0 if self.failure else super().truncate(size)
         return 0
 
     @contextmanager
-    def _failing_once(self) -> Iterator[None]:
+    def _record_failure(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
@@ -172,9 +172,9 @@ class NetCDFSink:
                 with package.File(self._path, "r") as file:
                     if file.attrs.get("run") == self._run:
                         variable = file.variables[name]
-                        wanted = np.arange(variable.shape[0])[i]
-                        rows = np.unique(wanted)  # a file has them read in order, each once
-                        return np.asarray(variable[rows])[np.searchsorted(rows, wanted)]
+                        chosen = np.arange(variable.shape[0])[i]
+                        rows = np.unique(chosen)  # a file has them read in order, each once
+                        return np.asarray(variable[rows])[np.searchsorted(rows, chosen)]
             except Exception as error:  # h5py has no list of what it raises
                 raise DamagedFileError(
                     f"{self._path} is damaged ({error}); its states are lost, run again"

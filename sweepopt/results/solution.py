@@ -510,7 +510,8 @@ class Solution(Displayed):
         Raises
         ------
         InputError
-            If it is no such file, or that of another number of unknowns, other unknowns or u0.
+            If it is no such file, as ``solution.nc`` of ``sweepopt run`` is none, or that of
+            another number of unknowns, other unknowns or u0.
         CheckpointError
             If it is not as it was written.
 
@@ -534,8 +535,15 @@ class Solution(Displayed):
         with open_run(path) as file:
             run = file.load()
         if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
-            wanted = "it has no u, status and scheme"
-            raise InputError(f"{path} is no file of sol.save or save=: {wanted}")
+            raise InputError(
+                f"{path} is no file of sol.save or save=: it has no u, status and scheme"
+            )
+        if "time" not in run.u.dims:
+            raise InputError(
+                f"{path} holds the fields of a scene on its mesh, and u at the end alone: read it "
+                "with xarray.open_dataset(path, engine='h5netcdf'), and write what is to be loaded "
+                "with sol.save or save="
+            )
         u, velocity = run.u.values, run.velocity.values
         steps = run["kept_step" if "kept_step" in run.dims else "step"].values
         names, number = np.unique(run.solver.values.astype(str), return_inverse=True)
