@@ -37,7 +37,7 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     """Components of u_n over time; where a component is stuck its line is wide and pale.
 
     Of one unknown there are its velocity and the force A u' + B u inside of C(t) too; two unknowns
-    are drawn as a path, beside that of the force with C(t) at five times.
+    are drawn as a path, beside that of the force with C(t), where it is bounded, at five times.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     if len(panels) == 2:
         t, _, _, sets = _inside_steps(solution, evenly(len(solution.steps), 5))
         for look, time, C in zip(LOOKS[1:], t, sets, strict=False):
-            panels[1].plot(*C.outline().T, **look, lw=1.0, label=f"C({time:.3g})")
+            if (points := C.outline()).size:
+                panels[1].plot(*points.T, **look, lw=1.0, label=f"C({time:.3g})")
         panels[1].legend(fontsize="small")
     return panels[0]
 

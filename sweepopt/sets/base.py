@@ -417,11 +417,17 @@ class ConvexSet(Operators, ABC):
 
     def outline(self) -> np.ndarray:
         """Points around the boundary of a bounded set in the plane, shape (k, 2); else none."""
-        if self.dim != 2 or not (self.exact and math.isfinite(self.magnitude())):
+        if self.dim != 2 or not math.isfinite(self.magnitude()):
             return np.zeros((0, 2))
         angles = np.linspace(0.0, 2 * math.pi, 73)
-        far = 100 * self.magnitude() * np.column_stack([np.cos(angles), np.sin(angles)])
-        return np.array([self.project(self.anchor + v) for v in far])
+        normals = np.column_stack([np.cos(angles), np.sin(angles)])
+        if self.certifiable:
+            return self.project_rows(self.anchor + 100 * self.magnitude() * normals)
+        # corners of supporting lines: a projection would take six times as long
+        sigma = self.support_rows(normals)
+        pairs = zip(pairwise(normals), pairwise(sigma), strict=True)
+        corners = [np.linalg.solve(pair, values) for pair, values in pairs]
+        return np.array([*corners, corners[0]])
 
     def _picture(self) -> str:
         try:
