@@ -1,5 +1,7 @@
 """Lumped models, and their scenes (hysteresis, chain) against exact values."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from sweepopt.fem import (
     Elasticity,
     Foundation,
     Viscosity,
+    antiplane,
     body,
     chain,
     grid,
@@ -84,6 +87,33 @@ def test_a_sheet_follows_the_bed_that_carries_it():
     scene = body(plate, [Viscosity(1e-9), bed, hold], t_end=1.0, steps=4)
     u = scene.displacement(scene.solve())[-1]
     assert np.allclose(u, [0.0, 2.0], rtol=0, atol=1e-6)
+
+
+@dataclass(frozen=True, repr=False)
+class Rope(Foundation):
+    """Springs of one's own, whose load is in two terms."""
+
+    pulled = "right"
+
+    def contribute(self, body):
+        part = super().contribute(body)
+        ((d, f),) = part.loads
+        return replace(part, loads=[(d, f / 4), (d, 3 * f / 4)])
+
+
+def test_springs_of_ones_own_have_a_loop_and_are_marked_where_they_pull():
+    scene = antiplane(
+        grid([1.0, 1.0], [2, 2]),
+        clamped="top",
+        effects=[Viscosity(1e9), Rope("right", 3.0, moved=Table([0.0, 1.0], [0.0, 2.0]))],
+        t_end=1.0,
+        steps=2,
+    )
+    solution = scene.solve()
+    force = scene.plot(solution, "loop").axes[0].lines[0].get_ydata()
+    np.testing.assert_allclose(force, [0.0, 3.0, 6.0], rtol=1e-6)  # those at the clamped node too
+    (legend,) = scene.plot(solution, "displacement").legends
+    assert [text.get_text() for text in legend.get_texts()] == ["clamped", "pulled"]
 
 
 # --- scene 12: a chain of blocks

@@ -106,8 +106,10 @@ class Effect(Protocol):
       `Plasticity` takes.
     - ``turned``: boundaries on which it acts on the normal or the tangents, so that unknowns are
       to be the components along these.
-    - ``pulled``: boundaries that pictures mark as pulled; ``flows``: True if the body may have
-      plugs, which the picture "flow" shows.
+    - ``pulled``: a boundary or several that pictures mark as pulled; ``flows``: True if the body
+      may have plugs, which the picture "flow" shows.
+    - ``moved`` and ``shift(body)``, of springs with a matrix B: d(t) of their far end, and all
+      degrees of freedom x where that is 1. The picture "loop" shows <x, B (d x - u)> over d.
     - ``among(effects, body)``: the effect beside all others of its scene, completed by what it
       takes from them; it raises if it does not go with them.
 

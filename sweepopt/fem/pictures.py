@@ -219,17 +219,11 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     the largest load, and the mean displacement along them.
     """
     body, t = scene.discretisation, solution.t
-    u = solution.u[:, : body.dim]
     springs: Any = [
         one for one in scene.effects if hasattr(one, "shift") and getattr(one, "moved", None)
     ]
-    curves = []
-    for spring in springs:
-        d, ((_, k),) = np.array(list(map(spring.moved, t))), spring.contribute(body).loads
-        force = d * (k @ body.restrict(spring.shift(body))) - u @ k
-        curves.append((d, force, ("displacement of the far end", "force of the foundation")))
-    if curves:
-        return curves
+    if springs:
+        return [_far_end(scene, solution, spring) for spring in springs]
     if scene.lifts:
         history, d = scene.lifts[0]
         size = float(np.linalg.norm(d[body.nodes], axis=0).max()) or 1.0
@@ -240,7 +234,16 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     nodal = body.expand(largest).reshape(-1, body.components)
     along = largest / (np.linalg.norm(nodal, axis=1).sum() or 1.0)
     load = forces @ along / (along @ along or 1.0)
-    return [(u @ along, load, ("mean displacement along the load", "load"))]
+    return [(solution.u[:, : body.dim] @ along, load, ("mean displacement along the load", "load"))]
+
+
+def _far_end(scene: Scene, solution: Solution, spring: Any) -> tuple[Array, Array, tuple[str, str]]:
+    """d and <x, B (d x - u)> of springs whose far end moves by d x, with u at all nodes."""
+    body, u = scene.discretisation, scene.displacement(solution)
+    d, x = np.array([spring.moved(t) for t in solution.t]), spring.shift(body)
+    k = released_matrices(body, [spring])[1] @ x
+    force = d * (x @ k) - u.reshape(len(u), -1) @ k[body.nodes.T].ravel()
+    return d, force, ("displacement of the far end", "force of the foundation")
 
 
 def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt.fem.contact import STATES, Slip, signed_lengths
+from sweepopt.fem.spaces import boundary_names
 from sweepopt.plot import STICK, even_steps, frame_times, new_figure, write_animation
 
 if TYPE_CHECKING:
@@ -93,7 +94,12 @@ def displacement(report: Report, t: Array) -> Field:
             _mark(report, panel, t[i], x[i])
 
         return Field(curve, x.reshape(-1, 2), "", "length", legend, ("x", "displacement"))
-    pulled = [name for one in report.scene.effects for name in getattr(one, "pulled", ())]
+    pulled = [
+        name
+        for one in report.scene.effects
+        if hasattr(one, "pulled")
+        for name in boundary_names(f"{type(one).__name__}.pulled", one.pulled)
+    ]
     arcs, look = [(body.mesh.boundary_facets(), "black", 0.6)], colours_of(u)
     for what, names, colour in (("clamped", body.clamped, "black"), ("pulled", pulled, PULLED)):
         if names:
