@@ -17,7 +17,7 @@ COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
 
 
 def evenly(size: int, most: int) -> np.ndarray:
-    """At most so many of 0, 1, ..., size - 1, evenly spread; both ends are among them."""
+    """At most `most` >= 2 of 0, 1, ..., size - 1, evenly spread; both ends are among them."""
     return np.unique(np.linspace(0, size - 1, most).round().astype(int))
 
 

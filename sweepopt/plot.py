@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import choice
+from sweepopt.checks import choice, times_inside
 from sweepopt.display import COLOURS, evenly
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.io import replacing, writable
@@ -30,7 +30,7 @@ LOOKS = [
 ]
 """Eight lines that differ in colour or style, the first four in both."""
 MOST_FRAMES = 50
-"""Of a film, a GIF of at most 1.8 MB and 10 s, and VTU files of a run."""
+"""Of an animation, a GIF of at most 1.8 MB and 10 s, and VTU files of a run."""
 
 
 def plot_solution(solution: Solution, ax: Any = None) -> Any:
@@ -63,7 +63,8 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
         import matplotlib.pyplot as pyplot
     panels = _panels(solution, pyplot.figure(figsize=(8.0, 4.5), layout="constrained"))
     if len(panels) == 2:
-        t, _, _, sets = _inside_steps(solution, evenly(len(solution.steps), 5))
+        t = _middles(solution, 5)
+        sets = _along(solution, t).sets
         for look, time, C in zip(LOOKS[1:], t, sets, strict=False):
             if (points := C.outline()).size:
                 panels[1].plot(*points.T, **look, lw=1.0, label=f"C({time:.3g})")
@@ -92,8 +93,8 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
     path, figure, moving = writable("path", path), new_figure((8.0, 4.5)), list[Any]()
     panels, t = _panels(solution, figure), frame_times(solution)
     if paths := len(panels) == 2:
-        t, _, force, sets = _inside_steps(solution, even_steps(solution, MOST_FRAMES))
-        u, outlines = solution(t), [C.outline() for C in sets]
+        u, _, force, sets = _along(solution, t)
+        outlines = [C.outline() for C in sets]
         panels[1].update_datalim(np.concatenate(outlines))
 
     def draw(i: int) -> None:
@@ -113,14 +114,19 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
 
 def even_steps(solution: Solution, most: int) -> np.ndarray:
     """At most so many of the kept steps, by their numbers among them; their ends are even times."""
-    ends = np.linspace(solution.t[0], solution.t[-1], most + 1)[1:]
-    return np.unique(np.searchsorted(solution.t[1:], ends))
+    return np.unique(np.searchsorted(solution.t[1:], _even_times(solution, most + 1)[1:]))
 
 
 def frame_times(solution: Solution) -> np.ndarray:
     """Even times of the frames of an animation; kept ones where not all steps were kept."""
-    t, steps = solution.t, even_steps(solution, MOST_FRAMES)
-    return np.linspace(t[0], t[-1], MOST_FRAMES) if solution.complete else t[1:][steps]
+    if solution.complete:
+        return _even_times(solution, MOST_FRAMES)
+    return solution.t[1:][even_steps(solution, MOST_FRAMES)]
+
+
+def _even_times(solution: Solution, count: int) -> np.ndarray:
+    """So many even times; one that misses a node by rounding is that node."""
+    return times_inside(np.linspace(solution.t[0], solution.t[-1], count), solution.t)
 
 
 def _panels(solution: Solution, figure: Any) -> Any:
@@ -130,7 +136,8 @@ def _panels(solution: Solution, figure: Any) -> Any:
         raise InputError("the run has no complete step to draw")
     if dim > 2 or not isinstance(solution.process, SweepingProcess):
         return [_components(solution, figure.subplots())]
-    t, velocity, force, sets = _inside_steps(solution, evenly(len(solution.steps), 1000))
+    t = _middles(solution, 1000)
+    _, velocity, force, sets = _along(solution, t)
     if dim == 2:
         panels = figure.subplots(1, 2)
         for panel, path, name in zip(panels, (solution.u, force), ("u", "force"), strict=True):
@@ -164,15 +171,29 @@ def _components(solution: Solution, ax: Any) -> Any:
     return ax
 
 
-def _inside_steps(solution: Solution, some: Any) -> tuple[Any, Any, Any, list[ConvexSet]]:
-    """t, u', A u' + B u and C(t) in the middle of some of the kept steps."""
-    process, velocity = solution.process, solution.velocity[some]
+def _middles(solution: Solution, most: int) -> np.ndarray:
+    """The middles of at most so many of the kept steps, where the force is in C(t) to order two."""
+    some = evenly(len(solution.steps), most)
     mu = np.diff(solution.stats["t"], prepend=solution.t[0])[solution.steps[some]]
-    t = solution.t[1:][some] - mu / 2
-    u = solution(t)
+    return np.asarray(solution.t[1:][some] - mu / 2)
+
+
+class _Along(NamedTuple):
+    """u, u', A u' + B u and C(t) at some times."""
+
+    u: np.ndarray
+    velocity: np.ndarray
+    force: np.ndarray
+    sets: list[ConvexSet]
+
+
+def _along(solution: Solution, t: np.ndarray) -> _Along:
+    """What a run does at times in kept steps; of a node the velocity is that before it."""
+    process, u = solution.process, solution(t)
+    velocity = solution.velocity[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
     force = [process.A @ z + process.times_B(x) for z, x in zip(velocity, u, strict=True)]
     sets = [process.set_at(float(time), x) for time, x in zip(t, u, strict=True)]
-    return t, velocity, np.array(force), sets
+    return _Along(u, velocity, np.array(force), sets)
 
 
 def new_figure(size: tuple[float, float]) -> Any:

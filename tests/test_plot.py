@@ -246,6 +246,32 @@ def test_an_animation_shows_each_time_once(dim, tmp_path, monkeypatch):
     assert min(np.ptp(one - other) for one, other in pairwise(frames)) > 100
 
 
+@pytest.mark.parametrize("steps", [60, 90])
+def test_even_times_that_miss_a_node_by_rounding_are_that_node(steps):
+    solution = so.solve(so.SweepingProcess(1.0, None, so.Box(-1, 1), 0.0), t_end=1.0, steps=steps)
+    for parts in range(2, steps):
+        if steps % parts == 0:
+            chosen = plot.even_steps(solution, parts)
+            np.testing.assert_array_equal(chosen, np.arange(1, parts + 1) * (steps // parts) - 1)
+
+
+def test_an_animation_of_two_unknowns_shows_even_times(tmp_path, monkeypatch):
+    monkeypatch.setattr(plot, "MOST_FRAMES", 5)
+    shown = []
+
+    def write(figure, path, draw, frames):
+        for i in range(frames):
+            draw(i)
+            shown.append((figure.get_suptitle(), figure.axes[0].lines[-1].get_xydata()[0]))
+
+    monkeypatch.setattr(plot, "write_animation", write)
+    solution = stick_slip(2)
+    solution.animate(tmp_path / "run.gif")
+    times = np.linspace(0.0, solution.t[-1], 5)
+    assert [time for time, _ in shown] == [f"t = {t:.4g}" for t in times]
+    np.testing.assert_array_equal([u for _, u in shown], solution(times))
+
+
 @pytest.mark.parametrize("dim", [1, 2, 3])
 def test_a_run_that_is_stopped_in_its_first_step_has_nothing_to_draw(dim, tmp_path, monkeypatch):
     monkeypatch.setattr(
@@ -326,8 +352,8 @@ def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setattr(plot, "MOST_FRAMES", 5)
     with rc_context({"animation.ffmpeg_path": ffmpeg.get_ffmpeg_exe()}):
-        film = stick_slip(1).animate(tmp_path / "run.mp4").read_bytes()
-    assert film[4:8] == b"ftyp"
+        animation = stick_slip(1).animate(tmp_path / "run.mp4").read_bytes()
+    assert animation[4:8] == b"ftyp"
     with (
         rc_context({"animation.ffmpeg_path": "no such program"}),
         pytest.raises(so.InputError, match=r"an MP4 is made by ffmpeg, .*; install it"),

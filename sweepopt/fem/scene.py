@@ -239,7 +239,7 @@ class Scene(Displayed):
         return folder
 
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
-        """Write a run as an animation, at 50 even times.
+        """Write a run as an animation of 50 even times, or at most 50 kept ones if not all were.
 
         Parameters
         ----------

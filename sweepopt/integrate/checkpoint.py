@@ -186,11 +186,15 @@ def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.
             f"{stored.file} is a checkpoint of another problem: {', '.join(differ)} "
             f"{'differ' if len(differ) > 1 else 'differs'} from what the run began with"
         )
-    was, here = stored.record["versions"], _versions()
-    if others := sorted(dict(was.items() ^ here.items())):
-        changed = ", ".join(f"{name} {was.get(name)} -> {here.get(name)}" for name in others)
-        message = f"the run began with other versions, last bits may differ: {changed}"
-        warn(message, CheckpointWarning)
+    before, here = stored.record["versions"], _versions()
+    changes = [
+        f"{name} {before.get(name)} -> {here.get(name)}"
+        for name in sorted({*before, *here})
+        if before.get(name) != here.get(name)
+    ]
+    if changes:
+        message = "the run began with other versions, last bits may differ"
+        warn(f"{message}: {', '.join(changes)}", CheckpointWarning)
 
 
 def _versions() -> dict[str, str]:
