@@ -84,10 +84,15 @@ def test_compare_prints_its_table_and_writes_it(tmp_path, monkeypatch, capsys):
     assert "'nowhere' is neither a scene file nor a problem" in capsys.readouterr().err
 
 
-def test_a_bad_study_gives_one_clean_line(capsys):
-    assert cli.main(["study", "nowhere"]) == 2
-    shown = capsys.readouterr().err
-    assert "'nowhere' is neither a study file nor a study; there are: accuracy" in shown
-    assert shown.count("\n") == 1
+def test_a_bad_study_gives_one_clean_line(tmp_path, capsys):
+    (tmp_path / "bad.toml").write_text('step = 5\nproblems = ["S03"]')
+    for study, words in (
+        (str(tmp_path / "bad.toml"), "step: unknown key"),
+        ("nowhere", "'nowhere' is neither a study file nor a study; there are: accuracy"),
+    ):
+        assert cli.main(["study", study]) == 2
+        shown = capsys.readouterr().err
+        assert words in shown
+        assert shown.count("\n") == 1
     with pytest.raises(SystemExit):
         cli.main(["study", "accuracy", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"])

@@ -2,10 +2,19 @@
 
 import numpy as np
 import pytest
-from cases import SETS
+from cases import REFERENCE, SETS
 
 import sweepopt as so
 from sweepopt.study.problems import PROBLEMS, problem
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_a_problem_has_the_matrices_the_start_and_the_end_of_its_reference_case(name):
+    this, data = problem(name), REFERENCE[name]
+    assert this.t_end == data["T"]
+    B = np.zeros(np.shape(data["B"])) if this.B is None else this.B
+    for given, expected in ((this.A, data["A"]), (B, data["B"]), (this.u0, data["u0"])):
+        np.testing.assert_allclose(given, expected, rtol=1e-15)
 
 
 def test_there_is_a_problem_for_every_reference_case_and_a_burst():

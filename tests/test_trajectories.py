@@ -79,6 +79,14 @@ def test_midpoint_rests_falsely_on_stiff_bodies_and_warns_from_ten_thirds_on():
     assert midpoint.false_sticks > 0
 
 
+def test_bounds_are_above_the_error_of_few_steps():
+    names = ["ordinary", "no_viscosity"]  # the others with -m slow
+    rows = [row for name in names for row in runs(name, 3, ["catching-up", "sdirk2"])]
+    ratios = [row.bound for row in rows if row.verdict != "refused"]
+    assert len(ratios) == 3  # catching-up takes no A = 0
+    assert min(ratios) >= 1.0
+
+
 def test_the_judge_sees_what_is_wrong(monkeypatch):
     def judged(scheme="implicit-euler", **changes):
         lie(monkeypatch, **changes)
