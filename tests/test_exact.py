@@ -62,6 +62,8 @@ def test_values_and_switch_times_are_those_of_the_reference(name):
         times = np.append(np.arange(n) * (this.t_end / n), this.t_end)
         error = found(times) - case(name).exact(n)
         assert max(map(process.metric.norm, error)) <= 1e-12
+    for t, digits in REFERENCE[name]["digits"].items():
+        np.testing.assert_allclose(found(float(t)), np.float64(digits), atol=1e-12)
     if name != "L13":  # linear
         assert found.switches == pytest.approx(SWITCHES[name], abs=1e-10)
         assert len(found.phases) == len(found.switches) + 1

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,7 +32,6 @@ from sweepopt.fem.contact import Rows, Yield
 from sweepopt.fem.effects import (
     Contribution,
     Effect,
-    Elasticity,
     Kinematics,
     Record,
     Stress,
@@ -45,6 +45,14 @@ LEAST = 1e-7
 """Of 2 mu: with 6e-8 of it B of the plate is indefinite by rounding, with 9e-9 a step of the ring
 takes minutes."""
 ZZ = -2 / np.sqrt(6)  # of e_zz in the second deviator
+
+
+class Isotropic(Effect, Protocol):
+    """An elasticity whose lam and mu are known."""
+
+    def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+        """lam and mu at the points of a quadrature; mu is None of a tensor."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -70,8 +78,8 @@ class Plasticity(Record):
 
     Attributes
     ----------
-    elasticity : Elasticity or None
-        That of the scene, which sets it: one, without a tensor.
+    elasticity : Isotropic or None
+        That of the scene, which sets it: `Elasticity` without a tensor, or one of your own.
 
     Raises
     ------
@@ -89,7 +97,7 @@ class Plasticity(Record):
     Hi: Datum = 0.0
     eta: Datum = 0.0
     on: Sequence[str] = (BODY,)
-    elasticity: Elasticity | None = field(default=None, init=False)
+    elasticity: Isotropic | None = field(default=None, init=False)
     data = COEFFICIENTS
 
     def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:
