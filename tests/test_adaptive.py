@@ -92,16 +92,16 @@ def error_of(sol, process=None):
 
 def test_estimates_that_rise_for_a_pass_or_two_end_no_run():
     """Of this run six estimates alternate between 1.4 and 3.3 tol, while the error falls."""
-    assert max(random_errors(30, 1.0, "catching-up")) <= FACTOR
+    assert max(random_errors(30, 1.0, "catching-up", [1e-2])) <= FACTOR
 
 
-def random_errors(seed, A, scheme):
-    """max_i |u_i - u(t_i)| / tol for two tolerances of a random process."""
+def random_errors(seed, A, scheme, tols=(1e-2, 1e-3)):
+    """max_i |u_i - u(t_i)| / tol of a random process for tolerances in units of its size."""
     process, t_end = random_process(seed, A)
     u = so.solve(process, t_end=t_end, steps=400, scheme="exact").u
     size = max(map(process.metric.norm, u))
     errors = []
-    for tol in (1e-2 * size, 1e-3 * size):
+    for tol in np.multiply(size, tols).tolist():
         sol = so.solve(
             process, t_end=t_end, steps=so.Adaptive(tol), scheme=scheme, on_unstable="ignore"
         )
@@ -196,7 +196,7 @@ def test_a_stop_in_the_first_step_after_a_breakpoint_is_seen(tol):
 
 
 def test_a_short_burst_in_a_long_hold_takes_far_fewer_steps_than_equal_ones():
-    for tol in (1e-2, 1e-4):
+    for tol in (1e-4, 1e-3):
         sol = run("H18", so.Adaptive(tol))
         assert error_of(sol) <= 1.5 * tol
     assert error_of(run("H18", 8 * work(sol))) > error_of(sol)

@@ -57,10 +57,11 @@ def scene(tmp_path, monkeypatch):
     return make_scene(tmp_path)
 
 
-def run(*options, pictures=False):
-    """The exit code of a run of the scene, without a bar and with one picture, into folder out."""
-    one = [] if pictures else ["--set", 'pictures=["displacement"]']
-    return cli.main(["run", "ring.toml", "--out", "out", "--no-progress", *one, *options])
+def run(*options, picture="displacement", bar=False):
+    """The exit code of a run of the scene into folder out, with one picture and perhaps a bar."""
+    quiet = [] if bar else ["--no-progress"]
+    one = ["--set", f'pictures=["{picture}"]']
+    return cli.main(["run", "ring.toml", "--out", "out", *quiet, *one, *options])
 
 
 def summary_in(folder):
@@ -126,7 +127,7 @@ def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty
 
 def test_a_second_run_replaces_the_first_whole(scene):
     out = Path("out")
-    assert run("--steps", "9", pictures=True) == 0
+    assert run("--steps", "9", picture="contact") == 0
     assert (out / "contact.png").exists()
     (out / "notes.txt").write_text("mine")
     (out / "solution.nc").write_text("broken")
@@ -171,7 +172,7 @@ def test_ctrl_c_writes_what_was_computed(monkeypatch, capsys):
     monkeypatch.setattr(tqdm.auto, "tqdm", Bar)
     # tests that run in the background of a shell inherit that Ctrl-C is ignored
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    assert cli.main(["run", "ring.toml", "--out", "out"]) == 130
+    assert run(bar=True) == 130
     assert so.Status.INTERRUPTED.value in capsys.readouterr().out
     summary = summary_in(Path("out"))
     assert (summary["status"], summary["success"]) == ("interrupted", False)

@@ -6,6 +6,7 @@ import ast
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -168,10 +169,14 @@ class Formula:
         raise InputError(f"must be a number or a formula, got {shown(self.text)}")
 
 
+parsed = lru_cache(Formula)
+"""A formula by its text: those that move in time are asked for at every step."""
+
+
 def in_time(datum: Any) -> bool:
     """Whether a datum is a function of x and t."""
     if isinstance(datum, str):
-        return "t" in Formula(datum).names
+        return "t" in parsed(datum).names
     if not callable(datum) or isinstance(datum, Profile):
         return False
     try:
@@ -268,7 +273,7 @@ class Coefficient(NamedTuple):
             raise InputError(
                 f"{self.name} does not move here; leave out t, or give an effect with a history"
             )
-        function: Any = Formula(datum) if isinstance(datum, str) else datum
+        function: Any = parsed(datum) if isinstance(datum, str) else datum
         try:
             if callable(function):
                 function = function(x, t) if moves else function(x)
