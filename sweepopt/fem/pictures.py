@@ -239,23 +239,23 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
 
 def _far_end(scene: Scene, solution: Solution, spring: Any) -> tuple[Array, Array, tuple[str, str]]:
     """d and <x, B (d x - u)> of springs whose far end moves by d x, with u at all nodes."""
-    body, u = scene.discretisation, scene.displacement(solution)
-    d, x = np.array([spring.moved(t) for t in solution.t]), spring.shift(body)
-    k = released_matrices(body, [spring])[1] @ x
-    force = d * (x @ k) - u.reshape(len(u), -1) @ k[body.nodes.T].ravel()
+    d, x = np.array([spring.moved(t) for t in solution.t]), spring.shift(scene.discretisation)
+    k = released_matrices(scene.discretisation, [spring])[1] @ x
+    force = d * (x @ k) - _work(scene, scene.displacement(solution), k)
     return d, force, ("displacement of the far end", "force of the foundation")
 
 
 def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
     """<d, A u' + B u> at the times, with u at all nodes."""
-    body, rate = scene.discretisation, scene.velocity(solution)
-    motions = np.concatenate([rate[:1], rate]), scene.displacement(solution)
-    matrices = released_matrices(body, scene.effects)
-    return sum(
-        motion.reshape(len(motion), -1) @ (M @ d)[body.nodes.T].ravel()
-        for motion, M in zip(motions, matrices, strict=True)
-        if M is not None
-    )
+    rate, u = scene.velocity(solution), scene.displacement(solution)
+    A, B = released_matrices(scene.discretisation, scene.effects)
+    motions = (A, np.concatenate([rate[:1], rate])), (B, u)
+    return sum(_work(scene, motion, M @ d) for M, motion in motions if M is not None)
+
+
+def _work(scene: Scene, motion: Array, force: Array) -> Array:
+    """<force, motion> at the times, of a motion at all nodes."""
+    return motion.reshape(len(motion), -1) @ force[scene.discretisation.nodes.T].ravel()
 
 
 def _legend_above(panel: Any) -> None:
