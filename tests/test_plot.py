@@ -307,8 +307,8 @@ def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setattr(plot, "MOST_FRAMES", 5)
     with rc_context({"animation.ffmpeg_path": ffmpeg.get_ffmpeg_exe()}):
-        film = stick_slip(1).animate(tmp_path / "run.mp4").read_bytes()
-    assert film[4:8] == b"ftyp"
+        animation = stick_slip(1).animate(tmp_path / "run.mp4").read_bytes()
+    assert animation[4:8] == b"ftyp"
     with (
         rc_context({"animation.ffmpeg_path": "no such program"}),
         pytest.raises(so.InputError, match=r"an MP4 is made by ffmpeg, .*; install it"),
