@@ -50,10 +50,15 @@ def test_the_code_of_a_page_runs(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sweepopt.plot.MOST_FRAMES", 4)  # of animations
     known = dict(fem.EFFECTS)
+    head, *parts = page.read_text("utf-8").split("\n## ")
     namespace = {}
     try:
-        for block in BLOCK.findall(page.read_text("utf-8")):
-            exec(compile(block, page.name, "exec"), namespace)
+        for part in (head, *parts):
+            if page.stem == "cookbook":  # each recipe stands alone
+                namespace = {}
+                part = head + part
+            for block in BLOCK.findall(part):
+                exec(compile(block, page.name, "exec"), namespace)
     finally:
         plt.close("all")
         for name in fem.EFFECTS.keys() - known.keys():
