@@ -17,7 +17,7 @@ from processes import python
 from selenium.webdriver.common.by import By
 
 import sweepopt as so
-from sweepopt import fem, study
+from sweepopt import fem, sets, study
 from sweepopt.cli import main
 from sweepopt.io import list_scenes
 
@@ -118,7 +118,8 @@ def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages):
 
 def test_every_public_name_is_documented_once():
     text = "\n".join(path.read_text("utf-8") for path in (DOCS / "api").glob("*.md"))
-    modules = {"sweepopt": so, "sweepopt.fem": fem, "sweepopt.study": study}
+    rooms = {"sweepopt": so, "sweepopt.fem": fem, "sweepopt.study": study}
+    modules = {**rooms, "sweepopt.sets": sets}
     for block in re.findall(r"\{eval-rst\}\n(.*?)```", text, re.S):
         (module,) = re.findall(r"currentmodule:: (\S+)", block)
         for directive in block.split(".. auto")[1:]:
@@ -126,7 +127,7 @@ def test_every_public_name_is_documented_once():
             for members in re.findall(r":members: (.+)", directive):
                 for member in members.split(", "):
                     assert hasattr(getattr(modules[module], name), member), f"{name}.{member}"
-    for module, package in modules.items():
+    for module, package in rooms.items():
         blocks = re.findall(rf"currentmodule:: {re.escape(module)}\n(.*?)```", text, re.S)
         names = re.findall(r"(?:auto(?:class|function)|py:data):: (\w+)", "\n".join(blocks))
         assert sorted(names) == sorted(package.__all__)
