@@ -622,7 +622,7 @@ class PointForce(Record):
 class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
-    Kinks of the history should be ends of steps. Energies are those of the other unknowns.
+    Breakpoints of the history should be ends of steps. Energies are those of the other unknowns.
 
     Parameters
     ----------
