@@ -30,7 +30,7 @@ LOOKS = [
 ]
 """Eight lines that differ in colour or style, the first four in both."""
 MOST_FRAMES = 50
-"""Of an animation, a GIF of at most 1.8 MB and 10 s, and VTU files of a run."""
+"""Of an animation, a GIF of at most 1.8 MB and 10 s, and of VTU files of a run."""
 
 
 def plot_solution(solution: Solution, ax: Any = None) -> Any:

@@ -106,10 +106,12 @@ class Effect(Protocol):
       `Plasticity` takes.
     - ``turned``: boundaries on which it acts on the normal or the tangents, so that unknowns are
       to be the components along these.
-    - ``pulled``: a boundary or several that pictures mark as pulled; ``flows``: True if the body
-      may have plugs, which the picture "flow" shows.
-    - ``moved`` and ``shift(body)``, of springs with a matrix B: d(t) of their far end, and all
-      degrees of freedom x where that is 1. The picture "loop" shows <x, B (d x - u)> over d.
+    - ``pulled``: the name of a boundary, or a tuple of names, that pictures mark as pulled.
+    - ``moved`` and ``shift(body)``, of springs with a matrix B to a far end that moves by d(t), as in
+      `Foundation`: ``moved`` is d, ``shift(body)`` all degrees of freedom x where d is 1. The
+      picture "loop" shows the force <x, B (d x - u)> of the springs over d.
+    - ``flows``: True if the body may have plugs (regions that are rigid below a yield stress),
+      which the picture "flow" shows.
     - ``among(effects, body)``: the effect beside all others of its scene, completed by what it
       takes from them; it raises if it does not go with them.
 
@@ -388,7 +390,7 @@ class Foundation(Record):
         As for `Dashpot`.
     moved : callable, optional
         d(t) (m): how far the other end of the springs has moved along the direction, which adds
-        the load ``d(t) int k v``. Of vectors `along` is "x", "y" or "z".
+        the load ``d(t) int k v``. In the plane and in solids `along` is then "x", "y" or "z".
 
     Raises
     ------
@@ -502,8 +504,8 @@ class BodyForce(Record):
     history : callable
         phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
     f0 : number, formula, mapping of subdomain to number, Profile or callable
-        Density at phi = 1 (Pa/m); of vectors a list, one for each of x, y and z. A function of x
-        and t is any load, and has no guaranteed bounds.
+        Density at phi = 1 (Pa/m); in the plane and in solids a list, one for each of x, y and z
+        (required). A function of x and t is any load, and has no guaranteed bounds.
 
     Raises
     ------
@@ -537,8 +539,9 @@ class Traction(Record):
     history : callable
         phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
     f2 : number, formula, mapping of boundary to number, Profile or callable
-        Traction at phi = 1 (Pa); of vectors a list, one for each of x, y and z, or one for the
-        direction of the outward normal (a pressure is negative). A function of x and t is any load.
+        Traction at phi = 1 (Pa). In the plane and in solids a list, one for each of x, y and z; or
+        one alone, which acts along the outward normal: a pull is positive, a pressure negative.
+        In other bodies one, along u. A function of x and t is any load.
 
     Raises
     ------
@@ -579,7 +582,7 @@ class PointForce(Record):
         under a point force does.
     history : callable
         phi(t).
-    force : number, or a list of one for each of x, y and z
+    force : number; in the plane and in solids a list, one for each of x, y and z
         At phi = 1 (N; N/m of bodies in the plane).
 
     Raises
@@ -618,7 +621,7 @@ class PointForce(Record):
 class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
-    Kinks of the history should be ends of steps. Energies are those of the other unknowns.
+    Breakpoints of the history should be ends of steps. Energies are those of the other unknowns.
 
     Parameters
     ----------
@@ -627,8 +630,8 @@ class PrescribedDisplacement(Record):
     history : History
         phi(t) as data, whose rate is known: Table, Sine, Triangle, Constant, Polynomial.
     d : number, formula, mapping of boundary to number, Profile or callable
-        Displacement at phi = 1 (m); of vectors a list, one for each of x, y and z, of which what is
-        held is taken.
+        Displacement at phi = 1 (m); in the plane and in solids a list, one for each of x, y and z,
+        of which the components that are held are taken.
 
     Raises
     ------
@@ -801,7 +804,7 @@ class OneWay(Record):
     on : str or sequence of str
         As for `Dashpot`.
     along : str
-        "x", "y" or "z" of vectors; nothing else in antiplane shear.
+        "x", "y" or "z" in the plane and in solids; in antiplane shear it is left out.
 
     Raises
     ------

@@ -135,8 +135,10 @@ def read_scene(
         history = { waveform = "sine", amplitude = 1.0, period = 4.0 }
 
     Data in space are numbers, tables by group or along a line, or formulas such as
-    ``"0.3 * (1 + x**2)"`` in x, y, z, radius, angle, and t where a load or a bound moves; vectors
-    are lists. Other histories: ``{ waveform = "triangle", amplitude, period }``,
+    ``"0.3 * (1 + x**2)"`` in x, y, z, radius, angle, and t where a load or a bound moves. In the
+    plane and in solids forces and displacements are lists, one for each of x, y and z; if ``f2`` of
+    a traction is one number it acts along the outward normal (a pressure is negative). Other
+    histories: ``{ waveform = "triangle", amplitude, period }``,
     ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``.
 
     All effects with their keys, those in brackets may be left out; `sweepopt.fem` has a class of

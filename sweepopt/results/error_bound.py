@@ -6,8 +6,10 @@ Let v be a Lipschitz function, w(t) any selection in C(t), and
 
 Then for e = u - v, as monotonicity of the normal cone gives <e', A e' + B e + r> <= G:
 
-    |e(t)|_A <= K(t) (|e(0)|_A + int sqrt(2 G + |r|^2))                (fan; | | of A^-1 for r)
-    |e(t)|_A <= |e(0)|_A + sqrt(t (|e(0)|_B^2 + int 2 G + |r|^2))      (energy).
+    |e(t)|_A <= K(t) (|e(0)|_A + int sqrt(2 G + |r|^2))                (growth of differences),
+    |e(t)|_A <= |e(0)|_A + sqrt(t (|e(0)|_B^2 + int 2 G + |r|^2))      (energy),
+
+where |r| is the norm of A^-1.
 
 Let further r = r_1 + r_2, r_2 of bounded variation. With <e', r_1> >= -|e'|_A^2 - |r_1|^2 / 4 and
 int <e', r_2> = <e, r_2> - int <e, dr_2> that inequality gives for e(0) = 0
@@ -16,20 +18,23 @@ int <e', r_2> = <e, r_2> - int <e, dr_2> that inequality gives for e(0) = 0
     S = int 2 G + |r_1|^2 / 2,    V = var(r_2),    R = V + sup |r_2|    (| | of B^-1 for r_2),
 
 as g = |e|_B - sup |r_2| has g(t)^2 <= S + (R - V)^2 + 2 int (g + R - V) |dr_2| (Ou-Iang's lemma),
-and |e|_A <= |e|_B / sqrt(lam). No A^-1 is in R: it holds for stiff bodies as for A = 0, where
-r_1 = 0. r_2 is r on the steps where that makes y smaller, and jumps to 0 at their ends.
+and |e|_A <= |e|_B / sqrt(lam). As R contains no A^-1 this bound is as good for stiff bodies as for
+soft ones, and holds for A = 0 with r_1 = 0. On the steps where it makes y smaller r_2 is r, which
+then jumps to 0 at their ends; on the others r_2 = 0.
 K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2)), nu = (Lam - lam)^2 / (8 (Lam + lam)), with
 lam <= Lam the extreme eigenvalues of A^-1 B.
 
-v runs through the nodes of a second run, on each step the best of a line and two cubics. Its scheme
-is L-stable: sdirk2, or implicit Euler where all of the body is stiff (mu lam > 10, or A = 0), as
-errors fade within a step there, switches decide the order of both, and implicit Euler has half of
-the programs. The grid is refined where the bound of |u - v| comes from and the run repeated, until
-|u - v| is a share of |v - u_n|: switches are located so. w(t) = center(t) + scale(t) s(t), s a
-curve in S through projections of A v' + B v - beta v', less the center. beta is that of
-|x|_A^2 >= beta |x|^2, as w = P_C(A v' + B v - beta v') makes 2 G + |r|^2 / beta least; 0 where A is
-singular. So a solver's inexactness is in r and G. Both are bounded on the whole of each step: G by
-the convexity of sigma, r as a polynomial and the interpolation error of histories (`residuals`).
+v is a curve through the nodes of a second run: on each step a line or one of two cubics, whichever
+gives the smallest bound. The second run has an L-stable scheme: sdirk2, or implicit Euler where all
+of the body is stiff (mu lam > 10, or A = 0): errors fade within a step there, the switches between
+stick and slip decide the order of both schemes, and implicit Euler has half of the programs. Its
+grid is refined where most of the bound of |u - v| arises, which is around the switches, and the run
+is repeated, until that bound is at most SHARE of |v - u_n|.
+w(t) = center(t) + scale(t) s(t), where s is a curve in S through projections of
+A v' + B v - beta v', less the center. beta is that of |x|_A^2 >= beta |x|^2, as
+w = P_C(A v' + B v - beta v') makes 2 G + |r|^2 / beta least; 0 where A is singular. Errors of the
+solver in the second run thus are part of r and G. Both are bounded on the whole of each step: G by
+the convexity of sigma, r as a polynomial plus the interpolation error of histories (`residuals`).
 """
 
 from __future__ import annotations
@@ -62,21 +67,32 @@ from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.sets import Polyhedron
 from sweepopt.velocity import Plan
 
-SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
-TOL = 1e-8  # of the second run: 1e-9 takes twice the digits where A is uneven, 3 times the time
-SHARE = 0.5  # |u - v| / |v - u_n| that will do: a bound is then at most 1.5 / 0.5 times the error
+SUMMED = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
+TOL = 1e-8  # of the second run's programs: 1e-9 takes 3 times as long where diag(A) is uneven
+SHARE = 0.5
+"""The second run is not repeated if the bound of |u - v| is at most this share of |v - u_n|.
+
+The bound of the error, |u - v| + |v - u_n|, is then at most (1 + SHARE) / (1 - SHARE) = 3 times
+the error."""
 FADES = 10
-"""mu lam from which the second run is of implicit Euler. On equal grids its bounds were 1.1 times
-those of sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5 and 9 times at 0.002."""
+"""If mu lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds with
+implicit Euler were 1.1 times those with sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5
+and 9 times at 0.002."""
 WORK = {"implicit-euler": 11, "sdirk2": 8}
-"""Steps of all second runs, at most, for each program of the run. With this a bound takes 5.6
-times the run (median; worst 11); with 13 and 10 it was 1.25 times closer for
-bodies of uneven viscosity."""
+"""Steps that all second runs together may take, by their scheme, for each program of the run.
+
+A bound then takes 5.6 times as long as the run (median; worst 11). With 13 and 10 bounds were 1.25
+times closer for bodies of uneven viscosity."""
 COSTLY = 0.3
-"""Of it, where points are projected one by one, C is curved, or the run eliminates most unknowns of
-a large body: with all of the work bounds of images of boxes took 110 times the run, with this they
-take 5 to 12 (16 at A = 0); those of a tube of 4,938 unknowns 137, now 13."""
-LARGE = 1000  # unknowns of a large body: with all of the work 72 took 12 times the run, 1,056 47
+"""The share of WORK that is done where a step of the second run is much dearer than one of the run.
+
+That is where projections iterate, one point at a time, where C is curved, and where the run
+eliminates most unknowns of a large body. With all of WORK bounds took 110 times as long as the run
+for images of boxes and 137 times for a tube of 4,938 unknowns; with this share 5 to 12 times (16 at
+A = 0) and 13 times."""
+LARGE = 1000
+"""Bodies with more unknowns are large: with all of WORK a bound took 12 times as long as the run
+for 72 unknowns, and 47 times for 1,056."""
 
 
 class ErrorBound(float):
@@ -131,10 +147,10 @@ def error_bound(
 ) -> ErrorBound:
     """The bound of a run, with v through the nodes of runs on grids that are refined for it.
 
-    The first grid is that of the run with the breakpoints of the data. Each pass bounds |u - v|,
-    with the best curve on each step, and so the error; the smallest bound of all passes is kept on
-    each step. The next pass has the steps that its goal asks for, at most what work is left, where
-    the bound of |u - v| comes from. Where C(t) is no data, there is one pass.
+    The first grid is that of the run with the breakpoints of the data added. Each pass bounds
+    |u - v|, with the best curve on each step, and so the error; on each step the smallest bound of
+    all passes counts. The next pass has as many more steps as its goal needs, or as WORK has left,
+    where most of the bound of |u - v| arises. Where C(t) is no data there is one pass.
     """
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES

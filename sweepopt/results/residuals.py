@@ -4,10 +4,11 @@ For the curve v and a selection w(t) in C(t) this gives int 2 G and int |r|^2 on
 r = A v' + B v - w and G = sigma(C(t), -v') + <v', w>. Where C(t) = center(t) + scale(t) S is data,
 w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and both integrals are
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
-histories. Where C(t) = { w : G w <= h(t) } is data, w is a curve between projections on the sets of
-h's Bernstein coefficients, and weak duality bounds sigma. Of any other C(t) the member in the
-middle of a step is S if its variation v is known, as w(t) is then no further from s(t) than v grows
-on the step, which costs 2 |v'| times that in G; otherwise both are sampled.
+histories. Where C(t) = { w : G w <= h(t) } is data, w is a curve whose Bernstein coefficients are
+projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma. For any other
+C(t) whose variation is known, S is the set at the middle of the step: the distance of w(t) to s(t)
+is at most the variation on the step, and that adds 2 |v'| times this distance to the bound of G.
+Otherwise both integrals are sampled, and are no bounds.
 """
 
 from __future__ import annotations
@@ -39,12 +40,13 @@ from sweepopt.sets import ROUNDING, ConvexSet, Polyhedron, basis, to_bernstein
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
 PARTS = 3
-"""Of a step, of curved sets: with 2 and 4 bounds are 0.7 and 1.3 times as close, and take 0.8 and
-1.3 times as long."""
+"""Parts of a step, on each of which w is a chord of a curved set. With 2 (4) parts bounds were 0.7
+(1.3) times as close and took 0.8 (1.3) times as long."""
 VARIES = 8
-"""Of mu Lam: on no step below it int |r'| makes the bound of |e|_B smaller than int |r|^2 / 2 does
-if r turns once: with |r'| >= |r| / mu and y >= sqrt(S) their ratio is at least sqrt(8 / mu Lam)."""
-SAME = 1e-12  # of the largest force: points that are nearer are one, which projections round to
+"""int |r'| is computed on steps with a larger mu Lam only. On others it does not make the bound of
+|e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >= sqrt(S)
+the step adds at least sqrt(8 / (mu Lam)) times as much to the bound as with int |r|^2 / 2."""
+SAME = 1e-12  # relative to the largest force: points nearer than that are projected as one
 CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
 
 
@@ -60,7 +62,7 @@ class Residuals(NamedTuple):
     begin, end : ndarray, shape (c, n, dim)
         r at the ends of each step.
     error : ndarray
-        How far r at the ends may be off, in the dual norm of B.
+        A bound of the error of begin and end, in the dual norm of B.
     """
 
     gaps: np.ndarray
@@ -72,9 +74,10 @@ class Residuals(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """C(t) on intervals: within `distance` of center(t) + scale(t) shape.
+    """C(t) on intervals, where its distance to center(t) + scale(t) shape is at most `distance`.
 
-    One distance for each interval, and one shape for each or for all; of none there are samples.
+    There is one distance for each interval, and one shape for each or for all. Without a shape C(t)
+    is known at sampled times only.
     """
 
     motion: Motion
