@@ -10,6 +10,7 @@ when it is first used.
 from __future__ import annotations
 
 from importlib import import_module
+from inspect import unwrap
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
         BoundWarning,
         CheckpointError,
         CheckpointWarning,
+        DamagedFileError,
         EmptySetError,
+        IndefiniteError,
         InitialStateWarning,
         InputError,
         MissingExtraError,
@@ -90,12 +93,14 @@ __all__ = [
     "Constraints",
     "ConvexSet",
     "Cvxpy",
+    "DamagedFileError",
     "Ellipsoid",
     "EmptySetError",
     "Energy",
     "ErrorBound",
     "EvolutionVI",
     "HalfSpace",
+    "IndefiniteError",
     "InitialStateWarning",
     "InputError",
     "MissingExtraError",
@@ -190,6 +195,7 @@ def scene(source: Any, **options: Any) -> fem.Scene:
     >>> so.scene("pipe").problem.dim > 100
     True
     """
+    from sweepopt.checks import with_checks
     from sweepopt.fem import read_scene
 
-    return read_scene(source, **options)
+    return with_checks(unwrap(read_scene), scene)(source, **options)

@@ -26,7 +26,9 @@ HUGE = 1e75
 TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node or a range: rounding of t0 + i mu."""
 MEMORY = 4e9
-"""Bytes that the kept states of a run may take if nobody says more; no vector takes as many."""
+"""Bytes that the kept states of a run may take if nobody says more."""
+MOST_UNKNOWNS = 10**9
+"""A vector of more of them takes 8 GB, and a step needs a few."""
 
 
 def meaning(**arguments: str) -> Callable[[F], F]:
@@ -56,7 +58,8 @@ def public(thing: Any) -> Any:
 def with_checks(function: Any, owner: Any = None) -> Any:
     """The function, which names its arguments where it is called with others."""
     owner = owner or function
-    call, name, meant = signature(function), owner.__name__, vars(owner).get("meaning", {})
+    call, name = signature(function), owner.__name__
+    meant = vars(owner).get("meaning") or getattr(function, "meaning", {})
     known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
     only = [key for key, one in call.parameters.items() if one.kind is one.KEYWORD_ONLY]
 
@@ -143,15 +146,15 @@ def at_path(where: str) -> Iterator[None]:
 
 
 def agree(**sizes: int) -> None:
-    """Refuse arguments whose numbers of unknowns differ, blaming the one that differs from most."""
+    """Refuse arguments whose numbers of unknowns differ, blaming those that differ from most."""
     (most, _), *others = Counter(sizes.values()).most_common()
     if others:
-        odd = next(name for name, size in reversed(sizes.items()) if size != most)
-        rest = " and ".join(name for name, size in sizes.items() if size == most)
-        raise InputError(
-            f"{odd} has dim {sizes[odd]}, but {rest} {most}: give all of them the same number of "
-            "unknowns"
+        odd = " and ".join(name for name, size in sizes.items() if size != most)
+        every = ", ".join(
+            f"{name} is {size} x {size}" if name in "AB" else f"{name} has dim {size}"
+            for name, size in sizes.items()
         )
+        raise InputError(f"{every}: give all the same number of unknowns; at odds: {odd}")
 
 
 def number(
@@ -228,9 +231,9 @@ def count(name: str, value: Any, least: int = 1) -> int:
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     size = count("dim", dim)
-    if 8 * size > MEMORY:
+    if size > MOST_UNKNOWNS:
         raise InputError(
-            f"dim is {shown(size)}, more than {MEMORY / 8:.0e}; no vector fits in memory"
+            f"dim is {shown(size)}, more than {MOST_UNKNOWNS:.0e}; no vector fits in memory"
         )
     return size
 
@@ -351,7 +354,11 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
             raise OverflowError("an entry is beyond the largest float; choose other units")
         return result
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} must be {what}, got {shown(value)} ({error})") from error
+        reason, several = str(error), (list, tuple)
+        pairs = [one for one in value if isinstance(one, several)] if type(value) in several else []
+        if any(callable(part) for pair in pairs for part in pair):
+            reason = "histories with their vectors are so.Separable([(phi, f), ...])"
+        raise InputError(f"{name} must be {what}, got {shown(value)} ({reason})") from error
 
 
 def bounded(name: str, value: Matrix, wanted: str, finite: bool = True) -> Matrix:

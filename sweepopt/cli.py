@@ -7,6 +7,7 @@ imported when it runs, so that the list works with the core install.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tempfile
 import time as clock
@@ -59,12 +60,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         with _plain_warnings():
-            return int(options.command(options))
+            code = int(options.command(options))
+            print(end="", flush=True)
+            return code
     except UnstableStepError as error:
         # the rest of its advice is for callers of solve
         _say(f"{str(error).partition(', or say')[0]}; use --steps or --scheme")
     except SweepoptError as error:
         _say(str(error))
+    except BrokenPipeError:  # the reader has enough, as head; Python shall not flush at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         _say(f"{where}{error.strerror or error}")

@@ -28,7 +28,7 @@ def as_lines(rows: Rows) -> str:
 
 def brief(value: Any) -> str:
     """A value on a part of a line: of a large array its shape and range."""
-    if isroutine(value):
+    if isroutine(value) or (callable(value) and " at 0x" in repr(value)):
         return "a function"
     if hasattr(value, "nnz"):
         return f"sparse {value.shape}"

@@ -65,7 +65,9 @@ HOPELESS = 100 * STEPS  # needed by the order of the scheme, from a grid that ma
 
 
 @meaning(
+    T="; give t_end",
     dt="; give steps=round(t_end / dt)",
+    h="; give steps=round(t_end / h)",
     t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
     t_eval="; give the times as save, they must be among those of steps",
     method="; give scheme",

@@ -261,6 +261,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
         (["ring.toml", "--out", "ring.msh"], "ring.msh: File exists"),
         (["bad.toml"], "sweepopt: bad.toml: effects.friction.g must be >= 0"),
         (["ring.toml", "--set", "time.end=0"], "sweepopt: ring.toml: time.end must be > 0"),
+        (["pipe", "--set", "solve.scheme=rk4"], "pipe.toml: solve.scheme 'rk4' is not known; use"),
         (["no.toml"], "is not TOML"),
     ],
 )
@@ -311,6 +312,16 @@ def test_a_missing_package_is_named_before_the_run(package, extra, monkeypatch, 
 
 
 # ---- list -----------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipe of POSIX")
+def test_a_reader_that_has_enough_of_the_list_ends_it_without_a_word():
+    code = (
+        "import os, sys; from sweepopt.cli import main\n"
+        "there, here = os.pipe(); os.close(there); os.dup2(here, 1); sys.exit(main(['list']))"
+    )
+    ended = python(code)
+    assert ended.stderr == ""
 
 
 def test_list_works_with_the_core_install_alone_and_without_a_warning():

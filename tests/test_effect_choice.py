@@ -86,7 +86,7 @@ def test_the_command_changes_a_scene_and_says_so(tmp_path, capsys):
     assert all(f"changed             {one}" in shown for one in expected)
     # what is printed is the plan of the run
     assert "breakpoints         6 of the load lie inside of steps" in shown
-    for change, message in (("time.steps", "write PATH=VALUE"), ("solve.scheme=euler", "quotes")):
+    for change, message in (("time.steps", "write PATH=VALUE"), ("time.end=0,5", "quotes")):
         assert cli.main(["run", "square", "--set", change]) == 2
         assert message in capsys.readouterr().err
 

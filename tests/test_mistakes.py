@@ -98,6 +98,40 @@ def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set():
     np.testing.assert_allclose(run(elastic, t_end=4.0)(4.0), 2.5, rtol=1e-12)
 
 
+def test_an_effect_that_is_registered_as_an_object_is_named(monkeypatch):
+    monkeypatch.setitem(so.fem.EFFECTS, "given", Given(None))
+    with pytest.raises(so.InputError, match=r"EFFECTS\['given'\] must be the class itself, got G"):
+        scene("[effects.given]\n", HELD)
+
+
+def test_a_matrix_of_an_effect_may_have_any_sparse_format():
+    for form in ("dia", "coo", "csr"):
+        stiff = sp.diags_array(np.ones(6)).asformat(form)
+        assert contributed(lambda _, B=stiff: so.fem.Contribution(B=B)).problem.B.shape == (6, 6)
+
+
+def test_a_run_of_another_mesh_is_no_run_of_the_scene():
+    left, right = (
+        scene(VISCOUS, f'{{ sizes = [1.0, {height}], cells = [2, 2] }}\nclamped = "left"')
+        for height in (1.0, 2.0)
+    )
+    assert left.displacement(left.solve()).shape == (3, 9)
+    with pytest.raises(so.InputError, match="give a run of this scene"):
+        left.displacement(right.solve())
+
+
+class Pull:
+    """A load that is no function of Python's, whose repr has an address."""
+
+    def __call__(self, t):
+        return 1.5 * t
+
+
+def test_a_set_shows_no_address_of_what_moves_it():
+    for C in (so.Moving(BOX, Pull()), so.Polyhedron([[1.0]], Pull())):
+        assert "=a function" in " ".join(repr(C).split()).replace("= a", "=a")
+
+
 def broken(t):
     if t > 0.55:
         raise ZeroDivisionError("of my own")

@@ -17,6 +17,7 @@ from processes import python
 from test_reduction import CONTACT, SETS, process, springs
 
 import sweepopt as so
+from sweepopt.results import NetCDFSink
 
 PATHS = ["proportional", "eliminated"]
 
@@ -395,6 +396,19 @@ def test_numbers_read_by_other_programs_or_later_have_checksums(tmp_path):
         assert np.array_equal(u, whole.u)
         assert np.array_equal(velocity, whole.velocity)
     assert found >= 4  # the others change nothing that is read
+
+
+def test_before_the_first_step_a_full_disk_leaves_no_velocities_of_any_unknown(tmp_path):
+    sink = NetCDFSink(tmp_path / "run.nc", 0.0, np.zeros(3))
+    sink.storage.failure = OSError()
+    assert sink.states().velocity(slice(None)).shape == (0, 3)
+    sink.close(None)
+
+
+def test_a_checkpoint_that_is_loaded_as_a_solution_is_called_one(tmp_path):
+    so.solve(block(so.Sine(2.0, period=4.0)), t_end=1.0, steps=2, checkpoint=tmp_path / "a.npz")
+    with pytest.raises(so.DamagedFileError, match=r"a\.npz is a checkpoint, for so\.resume"):
+        so.Solution.load(tmp_path / "a.npz")
 
 
 def test_every_variable_of_a_file_has_a_checksum(tmp_path):

@@ -433,7 +433,9 @@ class Friction(Record):
     """``J(v) = int g |v|`` of the tangential velocity, lumped at the nodes (see `friction_on`).
 
     Intervals where one component slips, discs where two do (the contact of a solid, a sheet on its
-    face), balls in a volume. In the plane and in a solid the normal displacement should be `held`.
+    face), balls in a volume. The bound does not depend on the normal force: in the plane and in a
+    solid a run with the normal displacement free is well posed too, but the face moves across the
+    floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch.
 
     Parameters
     ----------

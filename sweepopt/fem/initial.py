@@ -75,7 +75,7 @@ class Initial(Record):
                 if "u" in run:
                     last = run.u.isel(time=-1, missing_dims="ignore").values
         except (InputError, DamagedFileError) as error:
-            raise InputError(f"run: {path} is no NetCDF file of a run ({error})") from error
+            raise InputError(f"run: {str(error).removeprefix('path: ')}") from error
         if last is None:
             raise InputError(
                 f"run: {path} has {there or 'no variables'}, but not the variable u, of all "

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import NDArray
 
-from sweepopt.checks import bounded, count, listed, number
+from sweepopt.checks import at_path, bounded, count, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Indices
 from sweepopt.io import as_path, read_bytes
@@ -161,9 +161,11 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
     ['core', 'sleeve']
     """
     path = as_path("path", path)
+    with at_path("mesh "):
+        content = read_bytes(path)
     printed = io.StringIO()
     try:
-        gmsh = (content := read_bytes(path)).startswith(b"$MeshFormat")
+        gmsh = content.startswith(b"$MeshFormat")
         if gmsh and b"$EndElements" not in content:  # meshio takes the elements up to there
             raise InputError("is cut short ($EndElements is missing); save it again")
         with OUTPUT, redirect_stdout(printed), redirect_stderr(printed), warnings.catch_warnings():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,6 +40,7 @@ from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.fem.stress import plastic_strain_of, stress_of
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path
+from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Solution
@@ -147,6 +149,9 @@ class Scene(Displayed):
         given, dim = solution.process.dim, self.problem.dim
         if given != dim:
             raise InputError(f"solution has dim {given}, the scene {dim}; give a run of this scene")
+        digest = self.problem.unknowns_digest
+        if vars(solution.process).get("unknowns_digest", digest) != digest:
+            raise InputError("solution is of another mesh or clamping; give a run of this scene")
 
     def displacement(self, solution: Solution, t: ArrayLike | None = None) -> Array:
         """u at all nodes, shape (k, N), or (k, N, components) of vectors.
@@ -402,7 +407,8 @@ def build(
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
     yields = tuple(one for part in parts for one in part.yields)
-    _check_held(space, A, B)
+    with _blaming(effects, parts):
+        _check_held(space, A, B)
     _check_lifts(space, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
@@ -411,7 +417,8 @@ def build(
         with at_path("initial."):
             u0 = u0.state(space, fields, size)
     A = sp.csc_array((size, size)) if A is None else A
-    problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
+    with _blaming(effects, parts):
+        problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     problem.unknowns_digest = space.digest
     terms = {
         "no elasticity: B is not formed": B is not None,
@@ -450,6 +457,19 @@ def _composed(
         label: one.among(every, space) if hasattr(one, "among") else one
         for label, one in effects.items()
     }
+
+
+@contextmanager
+def _blaming(labels: Iterable[str], parts: Sequence[Contribution]) -> Iterator[None]:
+    """Name the effect of an indefinite matrix where a check of the sums fails."""
+    try:
+        yield
+    except InputError as error:
+        for label, part in zip(labels, parts, strict=True):
+            for name in "AB":
+                if (M := getattr(part, name)) is not None and not is_semidefinite(M):
+                    raise type(error)(f"{label}: its {name} has a negative eigenvalue") from error
+        raise
 
 
 def _check_held(space: Discretisation, A: Any, B: Any) -> None:
@@ -552,11 +572,13 @@ def _valid_contribution(part: Any, dim: int) -> Contribution:
         if (given := getattr(part, name)) is not None:
             M = symmetric(name, given)
             fits(name, M.shape[0])
-            if not sp.issparse(given):
+            if getattr(given, "format", "") not in ("csc", "csr"):  # others have no slices
                 part = replace(part, **{name: sp.csc_array(M)})
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
             raise InputError(f"{name} must be a list, [...], got {shown(getattr(part, name))}")
+    if any(isinstance(load, History) for load in part.loads):
+        raise InputError("loads must hold pairs of a history and a vector: loads=[(history, f)]")
     loads = [
         load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
         for load in part.loads

@@ -14,7 +14,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sweepopt.checks import at_path, choice, count, from_table, listed, number
+from sweepopt.checks import at_path, choice, count, from_table, listed, meaning, number
 from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.fem import effects
 from sweepopt.fem.fields import Profile, SlipTable, SlipWeakening
@@ -48,6 +48,8 @@ WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Tr
 """Histories by the name of their waveform in a scene file."""
 
 
+WORD = re.compile(r"[A-Za-z][\w -]*")
+"""Text that stands without quotes in a change, as a shell takes them away."""
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 """Of a path of a value: a key, or an index."""
 
@@ -65,6 +67,10 @@ class _File(NamedTuple):
     pictures: Any = ()
 
 
+@meaning(
+    steps='; give changes={"time.steps": steps}',
+    t_end='; give changes={"time.end": t_end}',
+)
 def read_scene(
     source: str | Path | Mapping[str, Any],
     *,
@@ -244,6 +250,9 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
                 f"{path}: unknown key; there are: {', '.join(EFFECTS)}"
                 f"{suggestion(name, EFFECTS) or own}"
             )
+        if not callable(EFFECTS[name]):
+            instance = shown(EFFECTS[name])
+            raise InputError(f"{path}: EFFECTS[{name!r}] must be the class itself, got {instance}")
         several = {path: table}
         if isinstance(table, list):
             several = {f"{path}[{k}]": one for k, one in enumerate(table)}
@@ -295,7 +304,7 @@ def _points(t: Any, values: Any) -> Table:
 
 
 def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
-    """The changes that texts such as ``effects.friction.g=0.5`` state; values are TOML.
+    """The changes that texts such as ``effects.friction.g=0.5`` state; values are TOML or words.
 
     Raises
     ------
@@ -314,6 +323,8 @@ def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
             raise InputError(
                 f"{shown(text)} is no change; write PATH=VALUE, such as time.steps=100"
             )
+        if WORD.fullmatch(value) and value not in ("true", "false", "inf", "nan"):
+            value = f"'{value}'"
         where = f"{path.strip()}={value} (text is in quotes)"
         table = parse_toml(where, f"value = {value}")
         if table.keys() != {"value"}:

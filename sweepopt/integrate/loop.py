@@ -26,6 +26,7 @@ from sweepopt.integrate.step import (
     compensated_sum,
 )
 from sweepopt.problem import SweepingProcess
+from sweepopt.sets import ROUNDING
 from sweepopt.velocity import Plan, Velocity
 
 Observer = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
@@ -106,6 +107,8 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
     """Why a step failed, as far as that can be known."""
     missed = f"{velocity.relative:.2g} of the velocity's size"
     likely = "The data of this step are scaled too badly for double precision"
+    if plan.tol < ROUNDING:
+        likely = "tol is below the rounding of double precision"
     if plan.scheme.exact:
         return (
             f"the closed form misses the inclusion by {missed} at its end, tol is {plan.tol:g}. "
@@ -116,9 +119,10 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
             "the state grows beyond all numbers, which only errors do that a scheme amplifies; "
             "take smaller steps or implicit-euler"
         )
-    best = f"the best certificate of {velocity.attempts} attempts is {missed}, tol is {plan.tol:g}"
+    of = f" of {velocity.attempts} attempts" if velocity.attempts else ""
+    best = f"the best certificate{of} is {missed}, tol is {plan.tol:g}"
     if velocity.relative == np.inf:
-        best = f"none of {velocity.attempts} attempts has an answer with a finite certificate"
+        best = f"none{of} has an answer with a finite certificate"
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
     if result.cause:
         tried, likely = "", f"It cannot be taken in parts: {result.cause}"

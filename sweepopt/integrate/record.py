@@ -227,8 +227,7 @@ class Run:
         steps = int(((count > 1) & (count != planned)).sum())
         if not steps:
             return ""
-        taken = "1 step was" if steps == 1 else f"{steps} steps were"
-        return f"{taken} taken in parts, as tol was missed in one."
+        return f"{steps} step{'s' * (steps > 1)} missed tol as a whole and met it in equal parts."
 
     def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """All that `restore` needs, in terms of JSON and in arrays."""

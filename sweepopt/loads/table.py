@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, matrix, number
+from sweepopt.checks import HUGE, TIME_SLACK, matrix, number, with_checks
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
@@ -49,6 +49,7 @@ class Table(Brief, History):
         object.__setattr__(self, "values", points[1])
 
     @classmethod
+    @with_checks
     def from_csv(
         cls, path: str | Path, column: str, *, time: str | None = None, scale: float = 1.0
     ) -> Table:

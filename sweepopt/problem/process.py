@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, agree, at_path, axes, meaning, symmetric, vector
+from sweepopt.checks import Matrix, agree, at_path, axes, meaning, number, symmetric, vector
 from sweepopt.display import Displayed, Rows, brief
 from sweepopt.errors import (
     IndefiniteError,
@@ -519,7 +519,7 @@ class EvolutionVI(SweepingProcess):
         if not callable(load) and axes(load) == 2:
             raise InputError(
                 "load must be a function of t or one vector; one row a time is "
-                "so.VectorTable(times, rows)"
+                "so.VectorTable(times, rows), histories with their vectors so.Separable(pairs)"
             )
         self.load = load if callable(load) or load is None else vector("load", load)
         if (size := getattr(self.load, "dim" if callable(load) else "size", None)) is not None:
@@ -559,9 +559,13 @@ def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
 def sweeping(process: Any) -> SweepingProcess:
     """The process, if it is one."""
     if not isinstance(process, SweepingProcess):
+        remedy = "a scene is run by scene.solve()"
+        if isinstance(process, (type, ConvexSet, MovingSet)):
+            remedy = "make one: so.SweepingProcess(A, B, C, u0)"
+        elif isinstance(process, str):
+            remedy = f"a scene is run by so.scene({shown(process)}).solve()"
         raise InputError(
-            f"process must be a SweepingProcess or an EvolutionVI, got {shown(process)}; a scene "
-            "is run by scene.solve()"
+            f"process must be a SweepingProcess or an EvolutionVI, got {shown(process)}; {remedy}"
         )
     return process
 
@@ -621,12 +625,12 @@ def _leaves(C: ConvexSet) -> Iterator[ConvexSet]:
 
 def _check_support(C: ConvexSet) -> None:
     """Spot-check that sigma(C, .) is positively homogeneous."""
-    direction = np.cos(np.arange(C.dim) + 1.0)
+    name, direction = type(C).__name__, np.cos(np.arange(C.dim) + 1.0)
     for z in (direction, -direction):
-        once, twice = C.support(z), C.support(2 * z)
-        if np.isnan(once) or not (once == twice or abs(twice - 2 * once) <= 1e-6 * abs(twice)):
+        once, twice = (number(f"{name}.support(z)", C.support(v), finite=False) for v in (z, 2 * z))
+        if not (once == twice or abs(twice - 2 * once) <= 1e-6 * abs(twice)):
             raise InputError(
-                f"{type(C).__name__}.support is not positively homogeneous: "
+                f"{name}.support is not positively homogeneous: "
                 f"sigma(z) = {once:g} but sigma(2z) = {twice:g}"
             )
 
@@ -636,10 +640,13 @@ def _check_projection(C: ConvexSet) -> None:
     name, direction = type(C).__name__, np.cos(np.arange(C.dim) + 1.0)
     widths = np.abs([C.support(direction), C.support(-direction)])
     reach = 2 * widths[np.isfinite(widths)].sum() / (direction @ direction) or 1.0
-    inside = C.project(C.anchor)
+    inside = vector(f"{name}.project(v)", C.project(C.anchor), C.dim)
     for d in (direction, -direction):
         v = inside + reach * d
-        w, p = vector(f"{name}.project(v)", C.project(v), C.dim), C.normal(v)
+        w = vector(f"{name}.project(v)", C.project(given := v.copy()), C.dim)
+        if (given != v).any():
+            raise InputError(f"{name}.project(v) writes into v: let it take v = v.copy() first")
+        p = C.normal(v)
         for z in (p, d):
             sigma, product = C.support(z), float(z @ w)
             tol = 1e-6 * (np.linalg.norm(v) + np.linalg.norm(w)) * np.linalg.norm(z)

@@ -160,7 +160,7 @@ class NetCDFSink:
         if self.storage.failure:
             steps = self._waiting or self._last
             nodes = np.array([self._u0, *(step.u for step in steps)])
-            velocities = np.array([step.velocity for step in steps])
+            velocities = np.array([step.velocity for step in steps]).reshape(-1, self._u0.size)
             done = np.array([step.step for step in steps], dtype=int)
             return States(done, nodes.__getitem__, velocities.__getitem__)
 
@@ -226,7 +226,8 @@ def _check(path: Path) -> None:
         return
     head = content[:48].tobytes()
     if head[:8] != b"\x89HDF\r\n\x1a\n":
-        raise DamagedFileError(f"{path} is damaged or no NetCDF file")
+        kind = "a checkpoint, for so.resume" if head[:2] == b"PK" else "damaged or no NetCDF file"
+        raise DamagedFileError(f"{path} is {kind}")
     if head[8] >= 2 and int.from_bytes(head[28:36], "little") != content.size:
         raise DamagedFileError(f"{path} is damaged: bytes are missing or too many at its end")
 

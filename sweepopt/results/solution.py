@@ -493,6 +493,7 @@ class Solution(Displayed):
         put(file, netcdf_bytes(self.to_xarray()))
 
     @classmethod
+    @checks.with_checks
     def load(cls, path: str | PathLike[str], process: SweepingProcess | None = None) -> Solution:
         """Read what `save` or ``solve(save="run.nc")`` wrote: the same numbers to the last bit.
 

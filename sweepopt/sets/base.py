@@ -302,6 +302,9 @@ class Operators(Brief):
     def __and__(self, other: Any) -> Any:
         return self.algebra.intersect(self, other)
 
+    def __contains__(self, w: Any) -> bool:
+        raise InputError("w in C: write C.contains(w), of a set that moves C.at(t).contains(w)")
+
     __radd__ = __add__
     __mul__ = __rmul__
 

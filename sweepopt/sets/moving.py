@@ -87,6 +87,12 @@ class MovingSet(Operators):
             raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
         return C
 
+    def contains(self, *_: Any) -> Any:
+        """Refused, as are `support` and `project`: C(t) has them."""
+        raise InputError("C moves: ask it at a time, C.at(t).contains(w), .support(z), .project(w)")
+
+    support = project = contains
+
     def at_many(self, times: np.ndarray) -> list[ConvexSet]:
         """C(t) at each of the times; data are evaluated at all of them at once."""
         return [self.at(t) for t in times.tolist()]
