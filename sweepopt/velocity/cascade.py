@@ -61,11 +61,12 @@ def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) ->
     Each refinement leaves a share |M^-1 (A + gamma B - M)| of the error; most need one.
     """
     best, residual, z, iterations = unsolved(of), of.force, None, 0
+    before = math.inf
     while True:
         pair = propose(residual, z)
         iterations += pair.iterations
         velocity = inclusion.certify(of, pair, tol)
-        halved = velocity.certificate < 0.5 * best.certificate
+        halved, before = velocity.certificate < 0.5 * before, velocity.certificate
         if not velocity.relative >= best.relative:
             best = velocity
         if best.relative <= tol or not halved:
