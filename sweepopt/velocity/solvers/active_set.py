@@ -25,7 +25,7 @@ import numpy as np
 import scipy.linalg
 
 from sweepopt.errors import EmptySetError, brought_by
-from sweepopt.linalg import dense
+from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
     HULL,
     ROUNDING,
@@ -39,6 +39,7 @@ from sweepopt.sets import (
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 INFINITE = 1e30  # what DAQP takes for no bound
+REFINEMENTS = 3  # of what L rounds: without them polyhedra beside jumps of 1e8 are not met
 
 
 @dataclass(frozen=True)
@@ -140,21 +141,28 @@ class ActiveSet(Small):
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Factorise M once; a call starts from no active rows."""
-        lower = cache(lambda: scipy.linalg.cholesky(dense(program.M.M), lower=True))
+        M = program.M
+        lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            rows = _rows(C)
+            rows, z, corrected = _rows(C), np.zeros_like(q), q
             if rows is None:  # a polytope that is flat to rounding
-                return Answer(np.zeros_like(q), status="failed: no rows")
+                return Answer(z, status="failed: no rows")
             G, h = rows
             # C has points and M is positive definite: where that is not seen it is rounding
             with contextlib.suppress(EmptySetError, scipy.linalg.LinAlgError):
-                L, rounding = lower(), ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(q))
-                shortest = least_distance(G @ L, h - G @ q, rounding)
-                if shortest is not None:
+                for _ in range(1 + REFINEMENTS):
+                    L, rounding = lower(), ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(corrected))
+                    shortest = least_distance(G @ L, h - G @ corrected, rounding)
+                    if shortest is None:
+                        break
                     z = scipy.linalg.solve_triangular(L, shortest.u, lower=True, trans=1)
-                    return Answer(z, iterations=1, status="solved")
-            return Answer(np.zeros_like(q), status="failed: rounding")
+                    rounded = M.rounding(z, euclidean(q / M.root))
+                    if rounded <= NEGLIGIBLE * euclidean(shortest.u):
+                        break
+                    # what L L^T misses of M goes to the linear term
+                    corrected = M.precisely(z, q, -(L @ (L.T @ z)))
+            return Answer(z, iterations=1, status="solved")
 
         return solve
 
