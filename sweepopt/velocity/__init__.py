@@ -24,8 +24,8 @@ from sweepopt.velocity.solvers import (
     Newton,
     Solve,
     Solver,
+    installed,
 )
-from sweepopt.velocity.solvers.reference import installed
 from sweepopt.velocity.step_program import StepProgram
 
 __all__ = [

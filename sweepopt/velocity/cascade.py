@@ -1,7 +1,22 @@
-"""The solver cascade of one cone: the first solver whose velocity meets the tolerance.
+"""A program is solved: by the first solver whose velocity, refined, meets the tolerance.
 
 A solver fails on the one step in a thousand that another takes with ease: Newton steps from its
 answer and the other solvers stand behind it. The certificate judges them all alike.
+
+The residual of an answer is the linear term of the next program (iterative refinement). A solver
+sees rounded numbers: M = A + gamma B, q = B u and, where most unknowns are eliminated, the matrix N
+and a linear term that come out of factors. Of its answer z the residual
+
+    r = A z + B (u + gamma z) - c
+
+is computed in twice the precision, and z + dz solves the inclusion if dz solves the program with M
+for its matrix and r - M z for its linear term. So do M's errors leave the answer, as those of
+a factorisation leave the solution of linear equations.
+
+For C = c + E^T S, E selecting few unknowns, zeta = E z solves a small program with the matrix
+N = (E M^-1 E^T)^-1, the linear term N E M^-1 (q - c) and the set S; then z = M^-1 (c - q + E^T w)
+with w = N zeta + N E M^-1 (q - c) (MATH.md section 5). For a residual of some z in place of q - c
+the same program gives the change of z.
 """
 
 from __future__ import annotations
@@ -13,22 +28,118 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
+from sweepopt.checks import is_finite
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.sets import Balls, Box, ConvexSet, shape_of
 from sweepopt.velocity.certificate import (
     CLOSED_FORM,
     Inclusion,
     Instance,
+    Proposal,
     Velocity,
     at_rest,
+    pair_near,
     unsolved,
 )
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.refinement import Propose, by_formula, by_program, refined
 from sweepopt.velocity.solvers import NEWTON, Answer, Solve, Solver, choose
 
-WRONG = 1e-2  # a larger relative certificate is that of a failure, not of a loose solver
+SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
+AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
+Propose = Callable[[np.ndarray, np.ndarray | None], Proposal]
+"""From the residual of a z, None for 0, to a better pair; its gap is nan where it has no proof."""
+
+
+# ---- iterative refinement ----------------------------------------------------------------------
+
+
+def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) -> Velocity:
+    """The velocity of a solver, refined as long as its certificate is above `tol` and halved.
+
+    Each refinement leaves a share |M^-1 (A + gamma B - M)| of the error; most need one.
+    """
+    best, residual, z, iterations = unsolved(of), of.force, None, 0
+    before = math.inf
+    while True:
+        pair = propose(residual, z)
+        iterations += pair.iterations
+        velocity = inclusion.certify(of, pair, tol)
+        halved, before = velocity.certificate < 0.5 * before, velocity.certificate
+        if not velocity.relative >= best.relative:
+            best = velocity
+        if best.relative <= tol or not halved:
+            return best._replace(iterations=iterations)
+        z = pair.z
+        residual = inclusion.exact_residual(of, z)
+
+
+def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
+    """The program of the unknowns that M keeps, as a solver answers it."""
+    few, N = M.unknowns, M.small
+
+    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+        forward, force, size = M.reduce(-residual)
+        linear = -force if z is None else N.precisely(-z[few], -force)
+        answer = solve(linear, S)
+        usable = is_finite(answer.z)
+        pair = pair_near(N, linear, S, answer.z, tol) if usable else None
+        if pair is None:
+            nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED
+            # of a set without proof; inf is a proof that rounding hides
+            gap = math.nan if believed and not S.certifiable else math.inf
+            pair = Proposal(answer.z if usable else nothing, nothing, gap)
+        if z is None:
+            z = M.recover(forward, pair.z)
+        else:
+            size = None  # of the residual, not of q - c
+            pair = with_forces_at_rest(N, linear, S, pair)
+            z = z + M.recover(forward, pair.z - z[few])
+        w = np.zeros(z.size)
+        z[few], w[few] = pair.z, pair.w  # to the last bit: stuck is 0.0
+        perturbation = pair.perturbation and M.margin * pair.perturbation
+        return Proposal(z, w, pair.gap, perturbation, size, answer.iterations)
+
+    return propose
+
+
+def with_forces_at_rest(N: Factor, q: np.ndarray, S: ConvexSet, pair: Proposal) -> Proposal:
+    """The pair with the forces w at rest that leave the least residual, if S has them.
+
+    What z rounds, dz, leaves a residual N_mm dz on the unknowns m that move. With the forces of z
+    itself at rest there is no other, and |.|_{N^-1} of it can be cond(N) times |dz|_N; with those
+    of z - dz it is |dz|_N. A w of S that differs only where z = 0 is as normal as the pair's.
+    """
+    rest = pair.z == 0
+    if not rest.any() or sp.issparse(N.M) or pair.perturbation:
+        return pair
+    residual, moves = N.precisely(pair.z, q, -pair.w), ~rest
+    dz = np.linalg.solve(N.M[np.ix_(moves, moves)], residual[moves])
+    w = pair.w.copy()
+    w[rest] += residual[rest] - N.M[np.ix_(rest, moves)] @ dz
+    w = S.project(w)
+    return pair._replace(w=w) if np.array_equal(w[moves], pair.w[moves]) else pair
+
+
+def by_solve(M: Factor) -> Propose:
+    """The solution of the linear system that is left where C is a point."""
+
+    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+        change = -M.solve(residual)
+        z = change if z is None else z + change
+        return Proposal(z, np.zeros(z.size), size=0.0)  # no larger than |z|_M
+
+    return propose
+
+
+def by_formula(M: Factor, S: ConvexSet, tol: float) -> Propose:
+    """z = M^-1 (w - q + c), w the projection on C - c in the metric of a diagonal M."""
+    diagonal = M.small.diagonal
+    return by_program(M, lambda q, S: Answer((S.project(q) - q) / diagonal), S, tol)
+
+
+# ---- the cascade -------------------------------------------------------------------------------
 
 
 @dataclass
@@ -58,7 +169,7 @@ class Attempt:
         """The velocity that the solver finds, refined."""
         propose = self.proposals(inclusion, of.S, best, tol)
         velocity = refined(inclusion, propose, of, tol)
-        if not velocity.relative <= WRONG:  # a workspace that failed is not used again
+        if not velocity.relative < math.inf:  # a workspace that failed is not used again
             self.compiled = None
         return velocity
 
@@ -78,18 +189,13 @@ class Attempt:
         return by_program(M, solve, S, tol)
 
 
-def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool) -> list[Attempt]:
+def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float) -> list[Attempt]:
     """The solvers of a program, in the order in which they are asked.
-
-    Where the cone changes from step to step Newton's method comes first: the others compile it,
-    which takes 20 ms.
 
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
     better conditioned: without it 9 hard families miss 1e-9.
     """
     solvers, selection, behind = choose(solver, S, tol), S.selection, []
-    if anew and solver == "auto":
-        solvers = tuple(sorted(solvers, key=lambda one: one.name != NEWTON.name))
     if M.small is M and selection is not None and selection.shift is None:
         few, part = selection.unknowns, selection.part
         solvers = solvers[:1]
@@ -122,8 +228,6 @@ class Cascade:
     of : Instance
         Any one of the family.
     tol : float
-    anew : bool
-        Whether the program before had another cone.
     proved : bool
         Whether velocities are certified and refined.
     """
@@ -134,7 +238,6 @@ class Cascade:
         solver: Any,
         of: Instance,
         tol: float,
-        anew: bool = False,
         proved: bool = True,
     ) -> None:
         self._proved = proved
@@ -152,7 +255,7 @@ class Cascade:
             isinstance(part, (Box, Balls)) or not part.polyhedral
             for part in map(shape_of, of.S.form().parts)
         )
-        self._attempts = attempts(solver, M, of.S, tol, anew)
+        self._attempts = attempts(solver, M, of.S, tol)
 
     def serves(self, inclusion: Inclusion, S: ConvexSet) -> bool:
         """Whether its programs are those of this inclusion and this set."""
@@ -182,7 +285,7 @@ class Cascade:
             iterations += velocity.iterations
             count += 1
             if velocity.relative < best.relative or math.isnan(velocity.relative):
-                if not (attempt.from_best and best.relative <= WRONG):  # else it is improved
+                if not (attempt.from_best and best.relative < math.inf):  # else it is improved
                     solver = attempt.solver.name
                 best = velocity
             if not best.relative > tol:

@@ -18,11 +18,10 @@ import scipy.sparse as sp
 
 from sweepopt.linalg import Elimination, Factor, is_solid
 from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
-from sweepopt.velocity.cascade import Cascade
+from sweepopt.velocity.cascade import Cascade, by_solve, refined
 from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, at_rest, one_unknown
 from sweepopt.velocity.cones import Cones
 from sweepopt.velocity.program import untranslated
-from sweepopt.velocity.refinement import by_solve, refined
 from sweepopt.velocity.return_mapping import ReturnMapping
 
 if TYPE_CHECKING:
@@ -144,8 +143,7 @@ class StateVelocity:
             if velocity.relative <= self._tol:
                 return velocity
         if self._cascade is None or not self._cascade.serves(inclusion, S):
-            anew = self._cascade is not None
-            self._cascade = Cascade(inclusion, self._solver, of, self._tol, anew, self._proved)
+            self._cascade = Cascade(inclusion, self._solver, of, self._tol, self._proved)
         return self._cascade(of)
 
     def _mapped(self, of: Instance) -> Velocity | None:

@@ -16,7 +16,7 @@ from sweepopt.velocity.cones import blocks
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.proportional import Reduction, reduce
 from sweepopt.velocity.return_mapping import condensable
-from sweepopt.velocity.solvers import NEWTON, Solver, choose
+from sweepopt.velocity.solvers import NEWTON, Small, Solver, choose
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
@@ -32,7 +32,6 @@ PATHS = {
     "full": "a program for all unknowns",
 }
 
-MANY = 300  # unknowns of a polyhedron: on fewer a step has a finite method
 FINEST = 1e-7  # tolerance of cones: the root of twice what sum g |E_k z| rounds, 6e-8 of its root
 
 
@@ -245,7 +244,8 @@ def _has_cones(
     takes 5 to 24 times as long, and its plugs are not exactly rigid.
     """
     metric, sets = process.metric, [untranslated(C).S for _, C in members if not C.singleton]
-    most = NEWTON.max_dim if contact is not None else MANY * all(S.polyhedral for S in sets)
+    finite = Small.max_dim * all(S.polyhedral for S in sets)  # by a finite method
+    most = finite if contact is None else NEWTON.max_dim
     size = process.dim if contact is None else contact.size
     if path not in ("auto", "cones") or not sp.issparse(metric.M) or not metric.has_factors:
         return False

@@ -8,12 +8,9 @@ from typing import Any
 from sweepopt.errors import SolverRefusedError, shown, suggestion
 from sweepopt.sets import ConvexSet, shape_of
 from sweepopt.velocity.program import Answer, Small, Solve, Solver
-from sweepopt.velocity.solvers.active_set import ActiveSet
-from sweepopt.velocity.solvers.clarabel import Clarabel
-from sweepopt.velocity.solvers.daqp import DAQP, has_daqp
+from sweepopt.velocity.solvers.active_set import DAQP, ActiveSet, has_daqp
+from sweepopt.velocity.solvers.conic import OSQP, Clarabel, Cvxpy, installed
 from sweepopt.velocity.solvers.newton import Newton
-from sweepopt.velocity.solvers.osqp import OSQP
-from sweepopt.velocity.solvers.reference import Cvxpy
 
 NEWTON, FASTEST, LAST = Newton(), DAQP(), ActiveSet()
 CONTRACT = ("name", "treats", "compile")
@@ -121,4 +118,5 @@ __all__ = [
     "Solve",
     "Solver",
     "choose",
+    "installed",
 ]

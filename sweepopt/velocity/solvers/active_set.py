@@ -1,8 +1,17 @@
-"""An active-set method for small polyhedra, the last of the cascade: for ill-conditioned bodies.
+"""Active-set methods for small polyhedra: exact to rounding, no tolerance enters.
 
-For C = { w : G w <= h } the velocity program is the projection of q on C in the M^-1 metric. With
-M = L L^T and w = q + L x this is the shortest x with  G L x <= h - G q,  z = L^-T x: the condition
-of L is the square root of that of M, and no tolerance enters.
+For C = { w : G w <= h } the velocity program is the projection of q on C in the M^-1 metric, in
+w = M z + q
+
+    min 1/2 |w - q|^2_{M^-1}   subject to   G w <= h.
+
+DAQP is a dual method, here for boxes, whose only constraints are bounds: a step changes q, l and u
+and starts from the active set of the step before (Arnström, Bemporad, Axehill, IEEE Trans. Automat.
+Contr. 67, 2022).
+
+The library's own is the last of the cascade, for ill-conditioned bodies. With M = L L^T and
+w = q + L x it seeks the shortest x with  G L x <= h - G q,  z = L^-T x: the condition of L is the
+square root of that of M.
 """
 
 from __future__ import annotations
@@ -10,11 +19,12 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 
 import numpy as np
 import scipy.linalg
 
-from sweepopt.errors import EmptySetError
+from sweepopt.errors import EmptySetError, brought_by
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
     HULL,
@@ -22,12 +32,82 @@ from sweepopt.sets import (
     ConvexSet,
     NoHalfspacesError,
     Polytope,
+    binary,
     least_distance,
     shape_of,
 )
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
+INFINITE = 1e30  # what DAQP takes for no bound
 REFINEMENTS = 3  # of what L rounds: without them polyhedra beside jumps of 1e8 are not met
+
+
+@dataclass(frozen=True)
+class DAQP(Small):
+    """DAQP for small programs over boxes (needs the extra "speed").
+
+    Parameters
+    ----------
+    max_dim : int
+        Larger programs are left to the other solvers: the cost grows with the number of entries
+        that change sides in a step, and Newton's method changes all of them at once.
+
+    Raises
+    ------
+    InputError
+        If max_dim is not positive.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Ball, Box
+    >>> DAQP().treats(Box(-1.0, 1.0)), DAQP().treats(Ball([0.0, 0.0], 1.0))
+    (True, False)
+    """
+
+    name = "daqp"
+
+    def treats(self, C: ConvexSet) -> bool:
+        """Whether C is small and a box: its projection has a diagonal derivative."""
+        if not C.polyhedral or C.dim > self.max_dim:
+            return False
+        D = C.derivative(C.anchor)
+        return D is not None and D.ndim == 1
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """Invert M once; a call updates the linear term and the bounds."""
+        with brought_by("speed"):
+            import daqp
+        M = program.M
+        # in units of the diagonal: the method's tolerances are absolute
+        root, inverse = M.root, M.inverse * np.outer(M.root, M.root)
+        free, engine = np.full(M.dim, INFINITE), daqp.Model()
+        no_rows, sense = np.zeros((0, M.dim)), np.zeros(M.dim, dtype=np.int32)
+        engine.setup(inverse, 0 * free, no_rows, free, -free, sense)
+        box: ConvexSet | None = None
+        unit = 0.0
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            nonlocal box, unit
+            q = q / root
+            force = binary(np.abs(q).max())
+            bounds: dict[str, np.ndarray] = {}
+            if C is not box or force != unit:
+                box, unit, far = C, force, INFINITE * force * root
+                above, below = (INFINITE * (C.project(end) / far) for end in (far, -far))
+                bounds = {"bupper": above, "blower": below}
+            engine.update(f=inverse.dot(q) / -force, **bounds)
+            w, _, flag, info = engine.solve()
+            z = inverse.dot(w * force - q) / root
+            status = "solved" if flag == 1 else f"failed: flag {flag}"
+            return Answer(z, iterations=int(info["iterations"]), status=status)
+
+        return solve
+
+
+@cache
+def has_daqp() -> bool:
+    """Whether DAQP is there, so that "auto" may choose it."""
+    return find_spec("daqp") is not None
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,6 @@ from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorise
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
-PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 # of the residual, left by a step with the tangent of another point: such steps cost a fifth of one
 # with a new tangent; of 1e-4 to 0.2 this takes the least time on problems/tread.toml
 KEPT = 1e-2
@@ -141,8 +140,6 @@ class _Iteration:
                 share /= 2
                 z = start + share * change
                 continue
-            if stalled == PATIENCE and not damped:
-                break
             if not self._key or (iteration and size >= KEPT * smallest):
                 D = C.blocks(v)
                 if D is None or not self._turn(D, T):
