@@ -142,8 +142,8 @@ class Energy:
                 some = of.any(axis=(0, 1))
                 if not some.all():
                     L, places, of = L[:, :, some], places[:, some], of[:, :, some]
-                of_L = sum(of[:, k, None] * L[k] for k in range(len(L)))
-                stiff = [(L[:, j:] * of_L[:, j, None]).sum(axis=0) for j in range(L.shape[1])]
+                of_L = np.einsum("ikm,knm->inm", of, L)
+                stiff = [np.einsum("knm,km->nm", L[:, j:], of_L[:, j]) for j in range(L.shape[1])]
                 entries = np.concatenate([np.zeros((0, places.shape[1])), *stiff])
                 data = data + np.bincount(places.ravel(), entries.ravel(), data.size)
             self._last = (), None  # nothing, if there are no factors
