@@ -190,7 +190,8 @@ def _tangent(M: Matrix, D: list[Blocks], T: np.ndarray) -> Callable[..., np.ndar
 
     def step(z: np.ndarray, residual: np.ndarray) -> np.ndarray:
         following = np.where(free, z, 0.0)
-        right = M @ (z - following)
+        stopped = z - following
+        right = M @ stopped if stopped.any() else stopped
         for at, inverse in inverses:
             right[at] += np.einsum("kij,kj->ki", inverse, residual[at])
         following[free] += solve(right[free])
