@@ -215,7 +215,7 @@ class Inclusion:
         added = state - of.u
         # what is rounded of u + gamma z (Knuth's two-sum)
         error = (of.u - (state - added)) + (change - added) + product_error(self.gamma, z)
-        return exact_sum([*A.terms(z), *B.terms(state), self.B @ error, -of.c, *more])
+        return exact_sum([*A.terms(z), *B.terms(state, error), -of.c, *more])
 
     @cached_property
     def _exact(self) -> tuple[Precise, ...]:
