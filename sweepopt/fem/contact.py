@@ -217,28 +217,25 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     def joined(name: str) -> Any:
         return np.concatenate([getattr(one, name) for one in contacts])
 
-    unknown, owner = _owners(contacts)
-    keep = np.unique(owner)
-    weight, threshold = (_sums(owner, joined(name)) for name in ("weight", "threshold"))
+    unknown, keep, owner = _owners(contacts)
+    sums = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
+    weight, threshold = (one.astype(float) for one in sums)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
     return Contact(unknown[keep], node, points, boundary, arc[keep], weight, threshold / weight)
 
 
-def _sums(owner: Indices, values: Array) -> Array:
-    """The sum over the nodes of each owner."""
-    return np.bincount(owner, values)[np.unique(owner)].astype(float)
-
-
-def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices]:
-    """Unknowns of the nodes of all, and of each node the first one with the same unknowns."""
+def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
+    """Unknowns of the nodes of all, the first nodes with each, and whose unknowns each node has."""
     rows = [one.unknown.reshape(len(one), -1) for one in contacts]
     width = max(row.shape[1] for row in rows)
     gaps = [((0, 0), (0, width - row.shape[1])) for row in rows]
     unknown = np.vstack([np.pad(*one, constant_values=-1) for one in zip(rows, gaps, strict=True)])
     _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
-    return unknown if width > 1 else unknown.ravel(), first[group.ravel()]
+    keep = np.sort(first)
+    owner = np.searchsorted(keep, first[group.ravel()])
+    return unknown if width > 1 else unknown.ravel(), keep, owner
 
 
 def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
@@ -485,15 +482,14 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
     rubbing = [one for one in scene.yields if one.contact is not None]
-    _, owner = _owners([part for one in rubbing if (part := one.contact)])
-    keep = np.unique(owner)
+    _, keep, owner = _owners([part for one in rubbing if (part := one.contact)])
     force, sizes, radii = [], [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z
         q = process.A @ z + process.times_B(u) - scene.load(t)
         force.append(contact.of(q))
         sizes.append(np.concatenate([one.sizes(q) for one in rubbing])[keep])
-        radii.append(_sums(owner, np.concatenate([one.at(t, u) for one in rubbing])))
+        radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
     return Slip(

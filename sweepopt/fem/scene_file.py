@@ -52,6 +52,7 @@ WORD = re.compile(r"[A-Za-z][\w -]*")
 """Text that stands without quotes in a change, as a shell takes them away."""
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 """Of a path of a value: a key, or an index."""
+PATH = re.compile(r"[^.\[\]]+(\.[^.\[\]]+|\[\d+\])*")
 
 
 class _File(NamedTuple):
@@ -352,16 +353,42 @@ def changed(data: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[str,
         raise InputError(f"changes must be a mapping of paths to values, got {shown(changes)}")
     result = deepcopy(dict(data)) if changes else data
     for path, value in changes.items():
-        keys = _steps(path)
+        if not (isinstance(path, str) and PATH.fullmatch(path)):
+            raise InputError(
+                f"{shown(path)} is no path of a value; write keys with dots between them and "
+                "indices in brackets, such as effects.traction[0].f2"
+            )
         table: Any = result
-        for depth, key in enumerate(keys):
-            last = depth == len(keys) - 1
-            _check_step(path, table, keys[:depth], key, may_be_new=last)
-            if last:
-                table[key] = value
-            else:
-                table = table[key]
+        *before, last = STEP.finditer(path)
+        for step in before:
+            table = table[_key(path, step, table)]
+        table[_key(path, last, table, may_be_new=True)] = value
     return result
+
+
+def _key(path: str, step: re.Match[str], table: Any, may_be_new: bool = False) -> str | int:
+    """The key or the index that a step of a path takes in a table, where it leads somewhere."""
+    before, (key, index) = path[: step.start()], step.groups()
+    where = before.rstrip(".") or "the scene"
+    if index:
+        if not isinstance(table, list):
+            raise InputError(f"{path}: {where} is no list, but {shown(table)}; leave [{index}] out")
+        if int(index) >= len(table):
+            raise InputError(
+                f"{path}: {where} has {len(table)} entries; use [0] to [{len(table) - 1}]"
+            )
+        return int(index)
+    if not isinstance(table, Mapping):
+        remedy = f"name an entry, such as {where}[0]" if isinstance(table, list) else "set it whole"
+        raise InputError(f"{path}: {where} is no table, but {shown(table)}; {remedy}")
+    if key not in table and not may_be_new:
+        remedy = f"Set the whole table to add it, such as {before}{key}={{...}}"
+        if key in EFFECTS and not before:
+            remedy = f"Did you mean effects.{path}?"
+        raise InputError(
+            f"{path}: {where} has no table {key!r}; there are: {', '.join(table)}. {remedy}"
+        )
+    return key
 
 
 def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
@@ -390,41 +417,3 @@ def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
             raise InputError(f"without: there is no effect {shown(name)}; there are: {there}")
         kept = [one for one in kept if one not in gone]
     return kept
-
-
-def _steps(path: Any) -> list[str | int]:
-    """The keys and indices of a path."""
-    text = path if isinstance(path, str) else ""
-    steps: list[str | int] = [key or int(index) for key, index in STEP.findall(text)]
-    joined = "".join(f"[{one}]" if isinstance(one, int) else f".{one}" for one in steps)
-    if not steps or joined.removeprefix(".") != text:
-        raise InputError(
-            f"{shown(path)} is no path of a value; write keys with dots between them and indices "
-            "in brackets, such as effects.traction[0].f2"
-        )
-    return steps
-
-
-def _check_step(
-    path: str, table: Any, before: Sequence[str | int], key: str | int, may_be_new: bool
-) -> None:
-    """Refuse a step of a path that leads nowhere."""
-    where = "".join(f"[{one}]" if isinstance(one, int) else f".{one}" for one in before)
-    where = where.removeprefix(".") or "the scene"
-    if isinstance(key, int):
-        if not isinstance(table, list):
-            raise InputError(f"{path}: {where} is no list, but {shown(table)}; leave [{key}] out")
-        if key >= len(table):
-            raise InputError(
-                f"{path}: {where} has {len(table)} entries; use [0] to [{len(table) - 1}]"
-            )
-    elif not isinstance(table, Mapping):
-        remedy = f"name an entry, such as {where}[0]" if isinstance(table, list) else "set it whole"
-        raise InputError(f"{path}: {where} is no table, but {shown(table)}; {remedy}")
-    elif key not in table and not may_be_new:
-        remedy = f"Set the whole table to add it, such as {path.partition(key)[0]}{key}={{...}}"
-        if key in EFFECTS and not before:
-            remedy = f"Did you mean effects.{path}?"
-        raise InputError(
-            f"{path}: {where} has no table {key!r}; there are: {', '.join(table)}. {remedy}"
-        )

@@ -61,13 +61,15 @@ class Precise:
         """M z + the sum of the others."""
         return exact_sum([*self.terms(z), *more])
 
-    def terms(self, z: np.ndarray) -> list[np.ndarray]:
-        """Vectors whose sum is M z."""
+    def terms(self, z: np.ndarray, error: Any = 0.0) -> list[np.ndarray]:
+        """Vectors whose sum is M (z + error), the error no more than z rounds."""
+        if not self._slices:
+            return [np.zeros_like(z)]
         parts = _cut(self._unit * z, self._bits)
-        terms, rounded, tail = [], np.zeros_like(z), np.zeros_like(z)
+        terms, rounded, tail = [], np.zeros_like(z), self._unit * error
         for M in self._slices:
             tail = parts.pop() + tail  # what the slices before leave of z
-            products = (M @ np.array([*parts, tail]).T).T
+            products = [M @ part for part in (*parts, tail)]
             terms += [self._unit * product for product in products[:-1]]
             rounded += products[-1]
         return [*terms, self._unit * rounded]

@@ -97,9 +97,11 @@ class Instance(NamedTuple):
         """Whether z = 0: q is in C but for rounding."""
         anchor = self.S.anchor
         squares = self.q.dot(self.q) + self.c.dot(self.c) + anchor.dot(anchor)
-        if self.S.is_beyond(self.force[self.unknowns], 3 * ROUNDING * math.sqrt(squares)):
+        most = 3 * ROUNDING * math.sqrt(squares)  # of the length of what `is_rounding` allows
+        if self.S.is_beyond(self.force[self.unknowns], most):
             return False
-        return self.is_rounding(self.force - self.projection(self.force))
+        outside = self.force - self.projection(self.force)
+        return euclidean(outside) <= most and self.is_rounding(outside)
 
     def is_rounding(self, outside: np.ndarray) -> bool:
         """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
@@ -213,7 +215,7 @@ class Inclusion:
         added = state - of.u
         # what is rounded of u + gamma z (Knuth's two-sum)
         error = (of.u - (state - added)) + (change - added) + product_error(self.gamma, z)
-        return exact_sum([*A.terms(z), *B.terms(state), self.B @ error, -of.c, *more])
+        return exact_sum([*A.terms(z), *B.terms(state, error), -of.c, *more])
 
     @cached_property
     def _exact(self) -> tuple[Precise, ...]:

@@ -14,7 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import InBlocks
+from sweepopt.linalg import InBlocks, euclidean
+from sweepopt.velocity.program import KEPT
 
 MOST = 60  # Newton steps; 2 to 37 were needed
 SHARES = 0.5 ** np.arange(20)  # of a step
@@ -97,6 +98,7 @@ class Energy:
         starts = np.searchsorted(pattern // dim, np.arange(dim + 1))
         self._factorise = InBlocks(pattern % dim, starts)
         self._last: tuple[Sequence[np.ndarray], Any] = (), None
+        self._root = np.sqrt(K.diagonal())
 
     def minimised(
         self, f: np.ndarray, w: np.ndarray, law: Law, converged: Callable[[State], bool]
@@ -105,7 +107,8 @@ class Energy:
 
         As the energy is convex its derivative along a step grows: of the shares 1, 1/2, 1/4, ...
         that one is taken where it is not STEEPER uphill than it was downhill. No descent is proved:
-        what has not converged after MOST steps goes to the next solver.
+        what has not converged after MOST steps goes to the next solver. The tangent is that of the
+        step before where this left less than KEPT of the residual.
         """
 
         def at(w: np.ndarray) -> State:
@@ -113,10 +116,13 @@ class Energy:
             s, derivative = law(x)
             return State(w, x, s, self._K @ w + f + self._transposed @ s, derivative)
 
-        state, iterations = at(w), 0
+        state, iterations, size, D = at(w), 0, np.inf, None
         while iterations < MOST and not converged(state):
+            before, size = size, euclidean(state.R / self._root)
+            if D is None or size > KEPT * before:
+                D = state.derivative()
             try:
-                change = -self._solve(state.derivative(), state.R)
+                change = -self._solve(D, state.R)
             except (ArithmeticError, RuntimeError):  # a pivot <= 0, or 0 in SuperLU
                 break
             trials = (at(state.w + share * change) for share in SHARES)
@@ -136,8 +142,8 @@ class Energy:
                 some = of.any(axis=(0, 1))
                 if not some.all():
                     L, places, of = L[:, :, some], places[:, some], of[:, :, some]
-                of_L = sum(of[:, k, None] * L[k] for k in range(len(L)))
-                stiff = [(L[:, j:] * of_L[:, j, None]).sum(axis=0) for j in range(L.shape[1])]
+                of_L = np.einsum("ikm,knm->inm", of, L)
+                stiff = [np.einsum("knm,km->nm", L[:, j:], of_L[:, j]) for j in range(L.shape[1])]
                 entries = np.concatenate([np.zeros((0, places.shape[1])), *stiff])
                 data = data + np.bincount(places.ravel(), entries.ravel(), data.size)
             self._last = (), None  # nothing, if there are no factors

@@ -24,11 +24,8 @@ import scipy.sparse as sp
 from sweepopt.checks import Matrix, count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
-from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
+from sweepopt.velocity.program import KEPT, Answer, Small, Solve, VelocityProgram
 
-# of the residual, left by a step with the tangent of another point: such steps cost a fifth of one
-# with a new tangent; of 1e-4 to 0.2 this takes the least time on problems/tread.toml
-KEPT = 1e-2
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
 # a step with it leaves 1e-6 of the residual; with 1e-8 a hull in units from 1e-6 to 1e6 misses 1e-9
 NEARLY = 1 - 1e-6
@@ -190,7 +187,8 @@ def _tangent(M: Matrix, D: list[Blocks], T: np.ndarray) -> Callable[..., np.ndar
 
     def step(z: np.ndarray, residual: np.ndarray) -> np.ndarray:
         following = np.where(free, z, 0.0)
-        right = M @ (z - following)
+        stopped = z - following
+        right = M @ stopped if stopped.any() else stopped
         for at, inverse in inverses:
             right[at] += np.einsum("kij,kj->ki", inverse, residual[at])
         following[free] += solve(right[free])
