@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
-from sweepopt.sets.balls import Ball, Balls, SecondOrderCone
+from sweepopt.sets.balls import Ball, Balls, Ellipsoid, SecondOrderCone
 from sweepopt.sets.base import (
     ROUNDING,
     Blocks,
@@ -17,7 +17,6 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.curves import basis, products, to_bernstein
-from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance, parallel_rows
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent

@@ -16,9 +16,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.sets.aligned import Aligned
-from sweepopt.sets.balls import Ball, Balls
+from sweepopt.sets.balls import Ball, Balls, Ellipsoid
 from sweepopt.sets.base import ConvexSet, places, same_array
-from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.polyhedra import GeneratedCone, Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point

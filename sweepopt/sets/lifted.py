@@ -36,15 +36,12 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.curves import basis
 from sweepopt.sets.programs import normal_by_program, support_by_program
-from sweepopt.sets.projection import Projection, Projector, Splitting, Start, fixed_point
+from sweepopt.sets.projection import Projection, Projector, Start
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
 
-# Alternating projections crawl where sets nearly touch: 3,000 settle an ellipsoid and a polytope
-# that are 5e-5 apart, 500 do not.
-SWEEPS_BETWEEN = 3000
 # Multipliers of sets that touch have no bound: 1e3 times |v - w| where no projection is exact. Of a
 # flat and a round set that overlap by d of their size they are |v - w| / sqrt(d). What an exact
 # projection says of its rounding is right to first order, while d is known to 4 digits.
@@ -334,16 +331,14 @@ class Lifted(ConvexSet):
         return self._separated()
 
     def _separated(self) -> bool:
-        """Whether the shortest vector from S to { F s = 0 } separates the two."""
-        size, zero = float(np.abs(self.part.offsets).max(initial=0.0)), np.zeros(self.part.dim)
-        ties = Splitting(self.lifted._replace(E=0 * self.lifted.E), 1 + zero).K
-        s, fixed = fixed_point(lambda s: self.part.project(ties(s)), zero, size, SWEEPS_BETWEEN)
-        n = self.part.normal(ties(s))
-        size = max(size, float(np.abs(s).max()))
-        rounding = 10 * ROUNDING * np.linalg.norm(n) + np.linalg.norm(ties(n))
-        if fixed:
-            return bool(np.abs(n).max() > 10 * ROUNDING * size)
-        return self.part.support(n) < -size * float(rounding)
+        """Whether 0 is not in F S: the half-space of the nearest point there proves it."""
+        residuals = Lifted(Form.alone(self.part).image(self.lifted.F))
+        near = residuals.near(np.zeros(residuals.dim))
+        size = float(np.abs(np.append(near.start.s, self.part.offsets)).max(initial=0.0))
+        if near.exact:
+            return bool(np.abs(near.w).max() > 10 * ROUNDING * size)
+        rounding = 10 * ROUNDING * size * float(np.linalg.norm(near.w))
+        return residuals.support(-near.w) < -rounding
 
     def polar(self) -> ConvexSet:
         self.part.polar()  # says so if this is no cone at all
@@ -390,12 +385,6 @@ class Intersection(Lifted):
                 if not other.normal(w).any():
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))
         return None
-
-    def is_beyond(self, w: np.ndarray, distance: float) -> bool:
-        """By the points of the two sets, or as of other sets."""
-        rounding = 10 * ROUNDING * float(np.abs(np.append(w, self.part.offsets)).max())
-        away = (np.linalg.norm(w - C.project(w)) for C in self.operands if C.exact)
-        return any(a > distance + rounding for a in away) or super().is_beyond(w, distance)
 
     def magnitude(self) -> float:
         return min(C.magnitude() for C in self.operands)

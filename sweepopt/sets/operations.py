@@ -18,7 +18,7 @@ from sweepopt.checks import HUGE, Matrix, divisor, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
-from sweepopt.sets.balls import Ball
+from sweepopt.sets.balls import Ball, BallImage, Ellipsoid
 from sweepopt.sets.base import (
     DENSE,
     Algebra,
@@ -29,7 +29,6 @@ from sweepopt.sets.base import (
     nested,
     require_same_dim,
 )
-from sweepopt.sets.ellipsoid import BallImage, Ellipsoid
 from sweepopt.sets.epigraph import epigraph
 from sweepopt.sets.lifted import Intersection, Lifted, Sum
 from sweepopt.sets.moving import MovingSet, over_time

@@ -195,7 +195,7 @@ class Splitting:
         if self.is_smooth(x):
             x, fixed = self._newton(residual, near, x, size)
         else:
-            x, fixed = fixed_point(lambda x: x + residual(x), x, size, SWEEPS)
+            x, fixed = fixed_point(lambda x: x + residual(x), x, size)
         s = near(x)
         image = 2 * s - x
         on_parts = self.projected(image)
@@ -212,18 +212,16 @@ class Splitting:
         solve it (X. Xiao, Y. Li, Z. Wen, L. Zhang, A regularized semi-smooth Newton method with
         projection steps, J. Sci. Comput. 76, 2018). Where they go to and fro, proximal points help.
         """
-        r, one, falls = residual(x), np.eye(x.size), True
+        r, one = residual(x), np.eye(x.size)
         for _ in range(NEWTON_STEPS):
-            extent, least = max(size, float(np.abs(x).max())), np.abs(r).max() / ROUNDING
-            # large normals are rounded too, but the residual may become smaller than that
-            if least <= size or (least <= extent and not falls):
+            if np.abs(r).max() <= ROUNDING * size:
                 return FixedPoint(x, True)
+            extent = max(size, float(np.abs(x).max()))
             J = self._jacobian(np.asarray(self.derivative_of_parts(2 * near(x) - x)))
             length = float(np.linalg.norm(r))
             regular = J + min(max(length / extent, RANK), 1.0) * one
             x = x + np.linalg.solve(regular, r)
             r = residual(x)
-            falls = bool(np.linalg.norm(r) < length)
         return FixedPoint(x, False)
 
     def proximal_points(self, v: np.ndarray, start: Start) -> Iterator[Start]:
@@ -390,7 +388,7 @@ class FixedPoint(NamedTuple):
     fixed: bool
 
 
-def fixed_point(step: Map, x: np.ndarray, size: float, sweeps: int) -> FixedPoint:
+def fixed_point(step: Map, x: np.ndarray, size: float) -> FixedPoint:
     """x = step(x) for a nonexpansive step, `size` that of its data.
 
     Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
@@ -399,7 +397,7 @@ def fixed_point(step: Map, x: np.ndarray, size: float, sweeps: int) -> FixedPoin
     images: deque[np.ndarray] = deque(maxlen=LOOK_BACK + 1)
     residuals: deque[np.ndarray] = deque(maxlen=LOOK_BACK + 1)
     size = max(size, float(np.abs(x).max()))
-    for _ in range(sweeps):
+    for _ in range(SWEEPS):
         image = step(x)
         residual = image - x
         if np.abs(residual).max() <= ROUNDING * max(size, np.abs(image).max()):
