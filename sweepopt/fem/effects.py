@@ -107,8 +107,8 @@ class Effect(Protocol):
     - ``turned``: boundaries on which it acts on the normal or the tangents, so that unknowns are
       to be the components along these.
     - ``pulled``: the name of a boundary, or a tuple of names, that pictures mark as pulled.
-    - ``moved`` and ``shift(body)``, of springs with a matrix B to a far end that moves by d(t), as in
-      `Foundation`: ``moved`` is d, ``shift(body)`` all degrees of freedom x where d is 1. The
+    - ``moved`` and ``shift(body)``, of springs with a matrix B to a far end that moves by d(t), as
+      in `Foundation`: ``moved`` is d, ``shift(body)`` all degrees of freedom x where d is 1. The
       picture "loop" shows the force <x, B (d x - u)> of the springs over d.
     - ``flows``: True if the body may have plugs (regions that are rigid below a yield stress),
       which the picture "flow" shows.
