@@ -18,9 +18,9 @@ ROOMS = (
 UPWARD = {("results", "plot")}
 HOMES = {
     "cvxpy": ("sets", "velocity"),
-    "clarabel": ("velocity/solvers/clarabel",),
-    "osqp": ("velocity/solvers/osqp",),
-    "daqp": ("velocity/solvers/daqp",),
+    "clarabel": ("velocity/solvers/conic",),
+    "osqp": ("velocity/solvers/conic",),
+    "daqp": ("velocity/solvers/active_set",),
     "cvxopt": ("linalg/cholesky", "linalg/ordering"),
     "pyamg": ("linalg",),
     "skfem": ("fem", "study"),
