@@ -179,7 +179,7 @@ def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path
 
 def test_a_folder_is_no_file_for_a_run(tmp_path):
     (tmp_path / "folder.nc").mkdir()
-    with pytest.raises(so.InputError, match="cannot be written"):
+    with pytest.raises(so.InputError, match="no file can be written"):
         run("eliminated", save=tmp_path / "folder.nc")
 
 
