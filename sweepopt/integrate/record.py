@@ -191,7 +191,7 @@ class Run:
     ) -> None:
         """Take the next step: the state at its end, its mean velocity with what is known of it."""
         i, k, *_ = self._last
-        z, certificate, relative, solver, iterations, attempts = velocity
+        z, certificate, relative, solver, iterations, attempts, _ = velocity
         number = self._solvers.setdefault(solver, len(self._solvers))
         end = self._times[i + 1]
         self._rows[i] = end, seconds, iterations, attempts, certificate, relative, number

@@ -31,7 +31,8 @@ stick and slip decide the order of both schemes, and implicit Euler has half of 
 grid is refined where most of the bound of |u - v| arises, which is around the switches, and the run
 is repeated, until that bound is at most SHARE of |v - u_n| or no finer grid pays (`_more`).
 w(t) = center(t) + scale(t) s(t), where s is a curve in S through projections of
-A v' + B v - beta v', less the center. beta is that of |x|_A^2 >= beta |x|^2, as
+A v' + B v - beta v', less the center, or, where projections iterate, through those points of S
+with which the programs of the second run ended. beta is that of |x|_A^2 >= beta |x|^2, as
 w = P_C(A v' + B v - beta v') makes 2 G + |r|^2 / beta least; 0 where A is singular. Errors of the
 solver in the second run thus are part of r and G. Both are bounded on the whole of each step: G by
 the convexity of sigma, r as a polynomial plus the interpolation error of histories (`residuals`).
@@ -46,7 +47,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import Status
+from sweepopt.errors import PathError, Status
 from sweepopt.integrate import (
     MEMORY,
     SCHEMES,
@@ -83,13 +84,12 @@ WORK = {"implicit-euler": 11, "sdirk2": 8}
 
 A bound then takes 7.7 times as long as the run (median; worst 13). With 13 and 10 bounds were 1.25
 times closer for bodies of uneven viscosity."""
-COSTLY = 0.3
-"""The share of WORK that is done where a step of the second run is much dearer than one of the run.
+OF_CURVED, OF_LARGE = 0.6, 0.3
+"""The share of WORK where a step of the second run is dearer, beside those of the run.
 
-That is where projections iterate, one point at a time, where C is curved, and where the run
-eliminates most unknowns of a large body. With all of WORK bounds took 110 times as long as the run
-for images of boxes and 137 times for a tube of 4,938 unknowns; with this share 8 to 12 and 16
-times."""
+That is where C is curved or other than a box or balls, and where the run eliminates most unknowns
+of a large body. Bounds then take up to 12 and 16 times as long as the run; with all of WORK 25
+times for a box cut with a ball, and 137 times for a tube of 4,938 unknowns."""
 FINER = 5
 """A grid has at most so many times as many steps more than the one before: where the second run has
 the scheme of the run, |v - u_n| on the first grid tells nothing of the error, and all of WORK would
@@ -162,14 +162,11 @@ def error_bound(
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
-    shape = motion(process.C).shape
     best = slice(0, 1) if stiff else slice(1, 2)  # straight, or with the velocities at the nodes
-    one_curve = plan.contact is not None and process.dim > LARGE
-    one_curve |= shape is not None and not shape.sharp_gaps
-    work = WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b)
-    if one_curve or (shape is not None and not shape.exact):
-        work = math.ceil(COSTLY * work)
-    plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
+    share, one_curve, by_points = _methods(process, plan)
+    work = math.ceil(share * WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b))
+    tol = plan.tol if plan.cones else min(plan.tol, TOL)
+    plan = replace(plan, tol=tol, scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
@@ -180,11 +177,11 @@ def error_bound(
     passes: list[tuple[int, float]] = []
     while True:
         work -= len(t) - 1
-        nodes, slopes = companion(process, plan, velocities, t)
+        nodes, slopes, members = companion(process, plan, velocities, t, by_points)
         # of unbounded sets all, as velocities of a cubic may have no support function
         chosen = best if one_curve and largest < math.inf else slice(3)
         curves = slopes_of_curves(nodes, slopes, chosen)
-        each, reason = residuals(process, norms, nodes, curves, variation)
+        each, reason = residuals(process, norms, nodes, curves, variation, members)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = curves[growth.curve, np.arange(len(t) - 1)]
@@ -208,6 +205,23 @@ def error_bound(
     if process.metric.method != "factors":
         reason = reason or "the matrices are too large for factors, which would prove their Lam"
     return ErrorBound.make(reason, run.t, A, B, lower)
+
+
+def _methods(process: SweepingProcess, plan: Plan) -> tuple[float, bool, bool]:
+    """The share of WORK, whether one curve v is tried, and whether w is one of programs' points."""
+    moving = motion(process.C)
+    shape, is_data = moving.shape, moving.scale.function is None
+    if plan.cones and (shape is None or not is_data):
+        raise PathError(
+            "error_bound needs projections where C(t) is a function, which take seconds each for "
+            "path='cones': give C(t) as data, such as so.Separable, or take path='full'"
+        )
+    large = plan.contact is not None and process.dim > LARGE
+    if shape is None or moving.offsets is not None:
+        return OF_LARGE if large else 1.0, large, False
+    by_points = is_data and not shape.exact and plan.reduction is None
+    share = 1.0 if shape.exact and shape.sharp_gaps else OF_CURVED
+    return OF_LARGE if large else share, large or not shape.sharp_gaps, by_points
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
@@ -336,8 +350,11 @@ def companion(
     plan: Plan,
     velocities: Velocities,
     t: np.ndarray,
-) -> tuple[Nodes, np.ndarray]:
+    with_points: bool,
+) -> tuple[Nodes, np.ndarray, np.ndarray | None]:
     """Nodes of the plan's scheme on the grid t, and the velocities at them (the mean at the first).
+
+    And points of C(t) at all but the first, where the programs know them.
 
     Its last stage is the inclusion at the node itself, so that no difference of forces is divided
     by A; its weights are positive, so that means of velocities stay in cones. A program that
@@ -345,7 +362,7 @@ def companion(
     """
     times, mus = time_grid(None, t)
     few, scheme = plan.process_of(process), plan.scheme
-    u, means, slopes = [few.u0], [], []
+    u, means, slopes, members = [few.u0], [], [], []
     compensation, count = np.zeros(few.dim), len(scheme.c)
     sets = few.C.at_many((times[:-1, None] + mus[:, None] * np.array(scheme.c)).ravel())
     for i, (time, mu) in enumerate(zip(times[:-1].tolist(), mus.tolist(), strict=True)):
@@ -353,6 +370,7 @@ def companion(
         stages = velocities.stages(scheme, time, mu, u[-1], sets=of_step)
         if len(stages) == len(scheme.b):
             mean, slope = combination(scheme.b, stages), stages[-1].z
+            members += [stages[-1].w] * with_points
         else:  # a stage has no program
             mean = slope = velocities.step(time, mu, u[-1]).velocity.z
         following, compensation = compensated_sum(u[-1], mu * mean, compensation)
@@ -360,7 +378,9 @@ def companion(
         means.append(mean)
         slopes.append(slope)
     velocity, ends = plan.velocity(np.array(means)), plan.velocity(np.array(slopes))
-    return Nodes(times, plan.state(np.array(u)), velocity), np.array([velocity[0], *ends])
+    nodes = Nodes(times, plan.state(np.array(u)), velocity)
+    known = len(members) == len(mus) and not any(w is None for w in members)
+    return nodes, np.array([velocity[0], *ends]), np.array(members) if known else None
 
 
 def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:

@@ -80,13 +80,15 @@ class _Model(NamedTuple):
     """C(t) on intervals, where its distance to center(t) + scale(t) shape is at most `distance`.
 
     There is one distance for each interval, and one shape for each or for all. Without a shape C(t)
-    is known at sampled times only.
+    is known at sampled times only. `members` are points of the shape at all nodes but the first, if
+    they are known: then s(t) is straight between them, and the first one until there.
     """
 
     motion: Motion
     intervals: Intervals
     shapes: list[ConvexSet]
     distance: np.ndarray
+    members: np.ndarray | None = None
 
     def each(self, function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
         """function(shape, rows of the arrays) of every shape; of one shape all rows at once."""
@@ -102,6 +104,7 @@ def residuals(
     nodes: Nodes,
     curves: np.ndarray,
     variation: Callable[[float], float] | None,
+    members: np.ndarray | None = None,
 ) -> tuple[Residuals, str]:
     """The residuals of curves through the nodes, and why they are no bounds; "" if they are.
 
@@ -111,10 +114,15 @@ def residuals(
         Bernstein coefficients of v' of each curve.
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
+    members : ndarray, shape (n, dim), optional
+        Points of C(t), a Moving set, at all nodes but the first.
     """
     data = motion(process.C)
     reason = _unknown(data)
-    model = _model(process, data, reason, norms, nodes, variation)
+    if members is not None:
+        scale = data.scale.at(nodes.t[1:])
+        members = (members - data.center.at(nodes.t[1:])) / scale if scale.all() else None
+    model = _model(process, data, reason, norms, nodes, variation, members)
     try:
         moving = model.motion
         known = bool(model.shapes) and moving.center.bounded and moving.scale.bounded
@@ -148,20 +156,22 @@ def _model(
     norms: Norms,
     nodes: Nodes,
     variation: Callable[[float], float] | None,
+    members: np.ndarray | None,
 ) -> _Model:
     """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
     if variation is not None and not data.center.bounded:
         moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
-        intervals = smooth_intervals(moving, nodes.t, 1 if moving.shape.sharp_gaps else PARTS)
-        return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)))
+        parts = 1 if moving.shape.sharp_gaps or members is not None else PARTS
+        intervals = smooth_intervals(moving, nodes.t, parts)
+        return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)), members)
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
     middles = 0.5 * (nodes.t[:-1] + nodes.t[1:])
-    members = [process.C.at(t) for t in middles.tolist()]
-    return model._replace(shapes=members, distance=increments(variation, nodes.t))
+    shapes = [process.C.at(t) for t in middles.tolist()]
+    return model._replace(shapes=shapes, distance=increments(variation, nodes.t))
 
 
 def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
@@ -207,6 +217,7 @@ def _bounds(
             Intervals(*(np.tile(x, count) for x in (i, begin, end))),
             model.shapes if len(model.shapes) == 1 else model.shapes[part] * count,
             np.tile(model.distance[part], count),
+            model.members,
         )
         slopes = np.concatenate(curves[:, i])
         each = _on_intervals(process, norms, nodes, slopes, some, terms, *functions)
@@ -248,7 +259,11 @@ def _on_intervals(
     if not model.shapes:
         w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif offsets is None:
-        s = _curve_in_shape(model, aim, scale.values)
+        if model.members is None:
+            s = _curve_in_shape(model, aim, scale.values)
+        else:
+            first, last = model.members[np.maximum(i - 1, 0), None], model.members[i, None]
+            s = first + (begin + share * HALVES[::2])[:, :, None] * (last - first)
         w = scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
         # a curve that is moved has no bound of int |r'|
         gaps, moved = _gaps_in_shape(norms, model, scale, s, directions, ~stiff)
@@ -378,16 +393,8 @@ def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.n
 
 
 def _projections(S: ConvexSet, curves: np.ndarray) -> np.ndarray:
-    """Points of S next to those of curves: ends that several share but for rounding have one."""
-    rows = curves.reshape(-1, S.dim)
-    if S.exact:
-        return S.project_rows(rows).reshape(curves.shape)
-    keys = np.rint(rows / (SAME * np.abs(rows).max() or 1.0))
-    _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)  # along the curves, as one projection starts from that before
-    points = np.empty((len(first), S.dim))
-    points[order] = S.project_rows(rows[first[order]])
-    return points[group.ravel()].reshape(curves.shape)
+    """Points of S next to those of curves."""
+    return S.project_rows(curves.reshape(-1, S.dim)).reshape(curves.shape)
 
 
 def _gaps(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratios: np.ndarray) -> np.ndarray:

@@ -272,7 +272,8 @@ class Cascade:
             for attempt in self._attempts:
                 pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
                 if pair.gap < math.inf or math.isnan(pair.gap):
-                    return Velocity(pair.z, math.nan, math.nan, attempt.solver.name)
+                    w = pair.w + of.c
+                    return Velocity(pair.z, math.nan, math.nan, attempt.solver.name, w=w)
                 attempt.compiled = None
         if inclusion.rests(of, tol):
             return at_rest(of.q)

@@ -55,6 +55,8 @@ class Velocity(NamedTuple):
     solver : str
     iterations, attempts : int
         Of the solver that found it, and how many were asked.
+    w : ndarray, shape (dim,), optional
+        The point of C beside it, from some programs that are not proved.
     """
 
     z: np.ndarray
@@ -63,6 +65,7 @@ class Velocity(NamedTuple):
     solver: str = ""
     iterations: int = 0
     attempts: int = 0
+    w: np.ndarray | None = None
 
 
 class Instance(NamedTuple):

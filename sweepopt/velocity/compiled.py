@@ -171,7 +171,7 @@ class StateVelocity:
         if self._cones is None or not (self._cones.S is of.S or self._cones.S.same_cone(of.S)):
             self._cones = Cones(inclusion.M, of.S, self._tol)
         velocity = refined(inclusion, partial(self._cones.propose, of.S), of, self._tol)
-        return velocity._replace(solver="cones", attempts=1)
+        return velocity._replace(solver="cones", attempts=1, w=self._cones.w + of.c)
 
     @cached_property
     def _on_all(self) -> Inclusion:

@@ -144,11 +144,11 @@ class Cones:
         at = z[self._rows.local.unknowns]
         still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
         rates = np.where(still, 0.0, self._of(z))
-        w = self._transposed @ state.s
+        self.w = w = -(self._transposed @ state.s)
         support = float(g @ lengths(rates))
         gap = max(support - float(np.vdot(self._s, rates)), 0.0) + ROUNDING * support
         rounding = ROUNDING * (self._abs.T @ np.abs(state.s))
-        return Proposal(z, -w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
+        return Proposal(z, w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
     def _of(self, w: np.ndarray) -> np.ndarray:
         """E w, a column for each block."""
