@@ -168,14 +168,16 @@ def __getattr__(name: str) -> Any:
             if name in getattr(room, "__all__", vars(room)):
                 globals()[name] = public(getattr(room, name))
                 return globals()[name]
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from sweepopt.errors import suggestion
+
+    raise AttributeError(f"sweepopt has no attribute {name!r}{suggestion(name, __all__)}")
 
 
 def __dir__() -> list[str]:
     return [*__all__, *_ROOMS[-3:], "__doc__", "__version__"]
 
 
-def scene(source: Any, **options: Any) -> fem.Scene:
+def scene(source: Any = "", **options: Any) -> fem.Scene:
     """Read a scene: `sweepopt.fem.read_scene`, whose help lists all keys of scene files.
 
     Parameters

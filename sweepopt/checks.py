@@ -223,7 +223,7 @@ def count(name: str, value: Any, least: int = 1) -> int:
     if isinstance(value, (float, np.floating)) and value.is_integer():
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        wanted = "a positive whole number" if least else "a whole number >= 0"
+        wanted = "a positive whole number" if least == 1 else f"a whole number >= {least}"
         raise InputError(f"{name} must be {wanted}, got {shown(value)}")
     return int(value)
 
@@ -305,7 +305,9 @@ def matrix(name: str, value: Any) -> Matrix:
     else:
         result = floats(name, value, "a matrix of numbers")
     if result.ndim != 2:
-        raise InputError(f"{name} must have two axes, got shape {result.shape}")
+        raise InputError(
+            f"{name} must have two axes, got shape {result.shape}; one row is [[1.0, 2.0]]"
+        )
     return bounded(name, result, "finite numbers")
 
 

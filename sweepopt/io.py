@@ -54,7 +54,7 @@ def writable(name: str, value: Any) -> Path:
     if not folder:
         raise InputError(f"{name} is {given}, but there is no folder {str(path.parent)!r}")
     if taken or not os.access(path.parent, os.W_OK):
-        raise InputError(f"{name} is {given}, which cannot be written there")
+        raise InputError(f"{name} is {given}, where no file can be written")
     return path
 
 
@@ -81,7 +81,10 @@ def read_text(path: Path) -> str:
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; save it as UTF-8, a table as CSV") from None
+        raise InputError(
+            f"{path}: is not UTF-8 text; save it as UTF-8, a table as "
+            "CSV; so.Solution.load reads runs in .nc, so.resume checkpoints"
+        ) from None
 
 
 def parse_toml(where: str, text: str) -> dict[str, Any]:
@@ -374,6 +377,8 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
                 if broken := file.zip.testzip():
                     raise ValueError(f"the checksum of {broken} does not fit")
                 arrays = dict(file)
+                if "record" not in arrays:
+                    raise ValueError("it has other arrays")
                 return json.loads(arrays.pop("record").tobytes()), arrays
         except Exception as error:  # zipfile, json and numpy have no list of what they raise
             raise DamagedFileError(f"{path} is damaged or no file of ours: {error}") from error

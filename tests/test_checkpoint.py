@@ -554,7 +554,7 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
         with pytest.raises(so.InputError, match=f"{path.name}.*no regular file"):
             read_mesh(path)
     for path in (pipe, Path("/dev/full")):
-        with pytest.raises(so.InputError, match=r"checkpoint is .* cannot be written there"):
+        with pytest.raises(so.InputError, match=r"checkpoint is .* where no file can be written"):
             so.solve(process, checkpoint=path, **settings)
 
 

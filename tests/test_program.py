@@ -217,6 +217,18 @@ def test_daqp_takes_a_load_of_next_to_nothing():
         assert solved(so.DAQP(), M, scale * q, so.Orthant(3)).relative <= 1e-11
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize("force", [1.0, 1e44, 1e70])
+def test_daqp_takes_forces_of_any_size(force):
+    M, box = np.array([[2.0, 1.0], [1.0, 3.0]]), force * so.Box([-1.0, -1.0], [1.0, 1.0])
+    C = box + force * np.array([2.5, -3.3])
+    answers = [
+        so.solve(so.SweepingProcess(M, M, C, np.zeros(2)), t_end=1.0, steps=2, solver=solver).u
+        for solver in ("daqp", "newton")
+    ]
+    np.testing.assert_allclose(answers[0], answers[1], rtol=1e-12)
+
+
 def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch):
     assert not so.DAQP().treats(so.Balls([1.0], 2))
     assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))

@@ -179,7 +179,7 @@ def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path
 
 def test_a_folder_is_no_file_for_a_run(tmp_path):
     (tmp_path / "folder.nc").mkdir()
-    with pytest.raises(so.InputError, match="cannot be written"):
+    with pytest.raises(so.InputError, match="no file can be written"):
         run("eliminated", save=tmp_path / "folder.nc")
 
 
@@ -407,7 +407,7 @@ def test_before_the_first_step_a_full_disk_leaves_no_velocities_of_any_unknown(t
 
 def test_a_checkpoint_that_is_loaded_as_a_solution_is_called_one(tmp_path):
     so.solve(block(so.Sine(2.0, period=4.0)), t_end=1.0, steps=2, checkpoint=tmp_path / "a.npz")
-    with pytest.raises(so.DamagedFileError, match=r"a\.npz is a checkpoint, for so\.resume"):
+    with pytest.raises(so.DamagedFileError, match=r"a\.npz is .* a checkpoint, which so\.resume reads"):
         so.Solution.load(tmp_path / "a.npz")
 
 

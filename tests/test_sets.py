@@ -185,7 +185,12 @@ def test_a_polyhedron_around_0_is_not_empty_in_any_units(seed):
 
 
 def test_sets_that_meet_in_one_point_are_not_empty():
-    for C in (UNIT & (UNIT + [2.0, 0.0]), UNIT & so.HalfSpace([-1.0, 0.0], -1.0)):
+    small = so.Ball([0.1, 0.2], 0.3)
+    for C in (
+        UNIT & (UNIT + [2.0, 0.0]),
+        small & (small + [0.6, 0.0]),
+        UNIT & so.HalfSpace([-1.0, 0.0], -1.0),
+    ):
         C.require_nonempty()
         # a rounding error in the data makes a lens with a height of its square root
         with pytest.raises(so.InputError, match="touch"):

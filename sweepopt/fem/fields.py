@@ -236,7 +236,8 @@ class Coefficient(NamedTuple):
         """The data of x, y and z, or the one of an antiplane body, as a list."""
         parts = list(datum) if isinstance(datum, (list, tuple)) else [datum]
         if len(parts) != components:
-            raise InputError(f"{self.name} must have {components} components, a list of x, y ...")
+            form = f"[{', '.join('xyz'[:components])}]" if components > 1 else "one value"
+            raise InputError(f"{self.name} must be {form}, got {shown(datum)}")
         return parts
 
     def values(

@@ -90,7 +90,10 @@ def grid(
     sizes, cells = listed("sizes", sizes), listed("cells", cells)
     start = (0.0,) * len(sizes) if origin is None else listed("origin", origin)
     if not len(sizes) == len(cells) == len(start) <= len(SIDES):
-        raise InputError("sizes, cells and origin must have one entry for each of x, y, z")
+        raise InputError(
+            f"sizes, cells and origin must have one entry for each of x, y, z, got {len(sizes)}, "
+            f"{len(cells)} and {len(start)}"
+        )
     counts = [count(f"cells[{k}]", n) for k, n in enumerate(cells)]
     if prod(counts) * factorial(len(counts)) > MOST_CELLS:
         raise InputError(f"cells: {shown(cells)} make more than {MOST_CELLS:.0e} cells; take fewer")

@@ -382,12 +382,10 @@ def _key(path: str, step: re.Match[str], table: Any, may_be_new: bool = False) -
         remedy = f"name an entry, such as {where}[0]" if isinstance(table, list) else "set it whole"
         raise InputError(f"{path}: {where} is no table, but {shown(table)}; {remedy}")
     if key not in table and not may_be_new:
-        remedy = f"Set the whole table to add it, such as {before}{key}={{...}}"
+        remedy = suggestion(key, table) or f"; set it whole to add it, {before}{key}={{...}}"
         if key in EFFECTS and not before:
-            remedy = f"Did you mean effects.{path}?"
-        raise InputError(
-            f"{path}: {where} has no table {key!r}; there are: {', '.join(table)}. {remedy}"
-        )
+            remedy = f"; did you mean effects.{path}?"
+        raise InputError(f"{path}: {where} has no table {key!r}, but {', '.join(table)}{remedy}")
     return key
 
 

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import choice, count, floats, listed
+from sweepopt.checks import choice, count, floats
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
@@ -496,7 +496,11 @@ class Place(NamedTuple):
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:
     """One name or several as a tuple of distinct strings."""
-    names = (value,) if isinstance(value, str) else listed(argument, value)
-    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+    names = (value,) if isinstance(value, str) else value
+    if (
+        not (isinstance(names, (list, tuple)) and names)
+        or not all(isinstance(name, str) for name in names)
+        or len(set(names)) < len(names)
+    ):
         raise InputError(f"{argument} must be a name or distinct names, got {shown(value)}")
-    return names
+    return tuple(names)

@@ -14,7 +14,7 @@ from scipy.linalg import blas
 
 from sweepopt.checks import HUGE
 from sweepopt.display import by_parts
-from sweepopt.errors import InputError, Status, brought_by, shown
+from sweepopt.errors import InputError, Status, brought_by, result_of, shown
 from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.grid import by_steps
 from sweepopt.integrate.record import Run, Step
@@ -207,7 +207,7 @@ def observer(
         u, z = plan.state(u).copy(), plan.velocity(z).copy()
         step = StepInfo(i, float(times[i + 1]), u, z, certificate)
         for watcher in watchers:
-            answer = watcher(step)
+            answer = result_of(watcher, step, f"callback or save, at t = {step.t:g}")
             try:
                 if isinstance(answer, str):
                     raise TypeError

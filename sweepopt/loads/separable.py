@@ -58,10 +58,10 @@ class Separable:
                 raise InputError(
                     f"terms[{k}] must be a pair (phi, f), got {shown(pair)}; give a list of pairs"
                 ) from None
-            if not callable(history):
+            if not callable(history) or isinstance(history, type):
                 raise InputError(
-                    f"terms[{k}][0] must be callable, a history such as so.Sine before its "
-                    f"direction, got {shown(history)}"
+                    f"terms[{k}][0] must be callable, a history like so.Sine(1.0, 2.0) before "
+                    f"its direction, got {shown(history)}"
                 )
             columns.append(read_only(f"terms[{k}][1]", shape))
             if columns[k].size != columns[0].size:

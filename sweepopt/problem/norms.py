@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from sweepopt.problem import SweepingProcess
 
 
+NEGLIGIBLE = 1e-3  # a bound without a solve is enough: sums of squares grow by 1e-6
+
+
 class Norms:
     """The norms of a process, many vectors at once, and how errors in them grow.
 
@@ -61,13 +64,13 @@ class Norms:
             return np.zeros(x.shape[:-1])
         return np.sqrt(np.maximum(squares(self._B, x), 0.0))
 
-    def dual(self, w: np.ndarray) -> np.ndarray:
-        """|w|_{A^-1} over the last axis."""
-        return _dual(self._metric, w)
+    def dual(self, w: np.ndarray, beside: Any = 0.0) -> np.ndarray:
+        """|w|_{A^-1} over the last axis; where it is NEGLIGIBLE beside a number, a bound of it."""
+        return _dual(self._metric, self.beta, w, beside)
 
-    def dual_B(self, w: np.ndarray) -> np.ndarray:
-        """|w|_{B^-1} over the last axis; infinite where B has no inverse."""
-        return _dual(self._weak, w)
+    def dual_B(self, w: np.ndarray, beside: Any = 0.0) -> np.ndarray:
+        """|w|_{B^-1} over the last axis, likewise; infinite where B has no inverse."""
+        return _dual(self._weak, self.beta_B, w, beside)
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""
@@ -78,13 +81,16 @@ class Norms:
             return np.minimum(np.exp(nu * tau), 1 + np.sqrt(0.5 * self.Lam * tau))
 
 
-def _dual(metric: Factor | None, w: np.ndarray) -> np.ndarray:
-    rows = w.reshape(-1, w.shape[-1])
-    some = rows.any(axis=1)
-    squared = np.where(some, np.inf, 0.0)
-    if metric is not None and some.any():
-        squared[some] = (rows[some] * metric.solve_many(rows[some])).sum(axis=1)
-    return np.sqrt(np.maximum(squared, 0.0)).reshape(w.shape[:-1])
+def _dual(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) -> np.ndarray:
+    size = np.asarray(np.abs(w).max(axis=-1))
+    scale = math.sqrt(w.shape[-1] / beta) if beta else math.inf
+    with np.errstate(invalid="ignore"):
+        size = np.where(size > 0, scale * size, 0.0)
+    rows = w[solved := size > NEGLIGIBLE * np.asarray(beside)]
+    if metric is not None and len(rows):
+        squared = (rows * metric.solve_many(rows)).sum(axis=1)
+        size[solved] = np.sqrt(np.maximum(squared, 0.0))
+    return size
 
 
 def applied(M: Any, x: np.ndarray) -> np.ndarray:

@@ -226,7 +226,9 @@ def _check(path: Path) -> None:
         return
     head = content[:48].tobytes()
     if head[:8] != b"\x89HDF\r\n\x1a\n":
-        kind = "a checkpoint, for so.resume" if head[:2] == b"PK" else "damaged or no NetCDF file"
+        kind = "damaged or no NetCDF file"
+        if head[:2] == b"PK":
+            kind = "a zip file, such as a checkpoint, which so.resume reads"
         raise DamagedFileError(f"{path} is {kind}")
     if head[8] >= 2 and int.from_bytes(head[28:36], "little") != content.size:
         raise DamagedFileError(f"{path} is damaged: bytes are missing or too many at its end")

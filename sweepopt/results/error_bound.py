@@ -29,7 +29,7 @@ gives the smallest bound. The second run has an L-stable scheme: sdirk2, or impl
 of the body is stiff (mu lam > 10, or A = 0): errors fade within a step there, the switches between
 stick and slip decide the order of both schemes, and implicit Euler has half of the programs. Its
 grid is refined where most of the bound of |u - v| arises, which is around the switches, and the run
-is repeated, until that bound is at most SHARE of |v - u_n|.
+is repeated, until that bound is at most SHARE of |v - u_n| or no finer grid pays (`_more`).
 w(t) = center(t) + scale(t) s(t), where s is a curve in S through projections of
 A v' + B v - beta v', less the center. beta is that of |x|_A^2 >= beta |x|^2, as
 w = P_C(A v' + B v - beta v') makes 2 G + |r|^2 / beta least; 0 where A is singular. Errors of the
@@ -69,10 +69,10 @@ from sweepopt.velocity import Plan
 
 SUMMED = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
 TOL = 1e-8  # of the second run's programs: 1e-9 takes 3 times as long where diag(A) is uneven
-SHARE = 0.5
+SHARE = 1 / 3
 """The second run is not repeated if the bound of |u - v| is at most this share of |v - u_n|.
 
-The bound of the error, |u - v| + |v - u_n|, is then at most (1 + SHARE) / (1 - SHARE) = 3 times
+The bound of the error, |u - v| + |v - u_n|, is then at most (1 + SHARE) / (1 - SHARE) = 2 times
 the error."""
 FADES = 10
 """If mu lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds with
@@ -81,15 +81,22 @@ and 9 times at 0.002."""
 WORK = {"implicit-euler": 11, "sdirk2": 8}
 """Steps that all second runs together may take, by their scheme, for each program of the run.
 
-A bound then takes 5.6 times as long as the run (median; worst 11). With 13 and 10 bounds were 1.25
+A bound then takes 7.7 times as long as the run (median; worst 13). With 13 and 10 bounds were 1.25
 times closer for bodies of uneven viscosity."""
 COSTLY = 0.3
 """The share of WORK that is done where a step of the second run is much dearer than one of the run.
 
 That is where projections iterate, one point at a time, where C is curved, and where the run
 eliminates most unknowns of a large body. With all of WORK bounds took 110 times as long as the run
-for images of boxes and 137 times for a tube of 4,938 unknowns; with this share 5 to 12 times (16 at
-A = 0) and 13 times."""
+for images of boxes and 137 times for a tube of 4,938 unknowns; with this share 8 to 12 and 16
+times."""
+FINER = 5
+"""A grid has at most so many times as many steps more than the one before: where the second run has
+the scheme of the run, |v - u_n| on the first grid tells nothing of the error, and all of WORK would
+be spent. With 3 (7) bounds were up to 1.5 times as loose (took 1.2 times as long) on 120 rows."""
+STALLS, FEW = 0.5, 0.25
+"""A bound that falls with a smaller order than STALLS, as that of noise, is not worth a finer grid,
+nor is one of which a grid with less than FEW times as many steps more would be enough."""
 LARGE = 1000
 """Bodies with more unknowns are large: with all of WORK a bound took 12 times as long as the run
 for 72 unknowns, and 47 times for 1,056."""
@@ -170,6 +177,7 @@ def error_bound(
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     largest, lower = _largest_state(process, norms, float(run.t[0]), float(run.t[-1])), 0.0
+    passes: list[tuple[int, float]] = []
     while True:
         work -= len(t) - 1
         nodes, slopes = companion(process, plan, velocities, t)
@@ -189,12 +197,11 @@ def error_bound(
         B = np.fmin(B, np.maximum.reduceat(distance_B + growth.B, first) + rounding)
         below = norms.A(nodes.u - states)[1:] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
-        goal = max(SHARE * distance.max(), rounding)
-        if growth.A[-1] <= goal or len(t) - 1 > work or reason or variation is not None:
+        passes.append((len(t) - 1, float(growth.A[-1])))
+        more = _more(passes, max(SHARE * distance.max(), rounding), work)
+        if more == 0 or reason or variation is not None:
             break
-        n = len(t) - 1  # the bound falls as 1 / n at least
-        more = (growth.A[-1] / goal - 1) * n if goal > 0 else np.inf
-        t = _refined(t, growth.shares, math.ceil(np.fmin(more, work - n)))
+        t = _refined(t, growth.shares, more)
     ends = norms.A(run.u)
     most = largest + np.maximum(ends[:-1], ends[1:]) + rounding
     A, B = np.fmin(A, most), np.fmin(B, most * (1.0 if norms.weak else math.sqrt(norms.Lam)))
@@ -219,6 +226,27 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
         shape = shape.with_offsets(h)
     w = center + scale * shape.magnitude() / math.sqrt(norms.beta_B)
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
+
+
+def _more(passes: list[tuple[int, float]], goal: float, work: int) -> int:
+    """How many steps the next grid shall have more; 0 where no finer grid pays.
+
+    A pass is its number of steps and its bound, which falls with the order of the last two; with
+    one pass, or an infinite bound, with order 1.
+    """
+    n, bound = passes[-1]
+    before, larger = passes[-2] if len(passes) > 1 else (0, math.inf)
+    if not bound > goal or work <= n or n == before:  # or it is not a number
+        return 0
+    order = 1.0
+    if max(bound, larger) < math.inf:
+        order = math.log(larger / bound) / math.log(n / before)
+    missing = (bound / goal) ** (1 / order) - 1 if order > 0 and goal > 0 else math.inf
+    if order < STALLS or missing < FEW:
+        return 0
+    # the last pass that WORK allows takes what is left
+    finer = FINER * n if work > 2 * (1 + FINER) * n else work - n
+    return math.ceil(min(missing * n, finer, work - n))
 
 
 def _refined(t: np.ndarray, shares: np.ndarray, cuts: int) -> np.ndarray:
@@ -280,13 +308,12 @@ def _variation(
     norms: Norms, each: Residuals, curve: np.ndarray, weak: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """V and sup |r_2| until the end of each step; r_2 is r on the weak steps, and jumps to 0."""
-    turning, begin, end, error = (x[curve, np.arange(len(curve))] for x in each[2:])
-    turning, error = np.where(weak, turning, 0.0), np.where(weak, error, 0.0)
+    turning, size, begin, end, error = (x[curve, np.arange(len(curve))] for x in each[2:])
+    turning, size, error = (np.where(weak, x, 0.0) for x in (turning, size, error))
     begin, end = (np.where(weak[:, None], r, 0.0) for r in (begin, end))
     before = np.concatenate([np.zeros_like(end[:1]), end[:-1]])
-    jumps = norms.dual_B(begin - before) + error + np.append(0.0, error[:-1])
-    # |r(t)| is at most that at each end and the variation from there
-    size = 0.5 * (norms.dual_B(begin) + norms.dual_B(end) + turning) + error
+    known = np.sqrt(each.gaps[curve, np.arange(len(curve))])
+    jumps = norms.dual_B(begin - before, known) + error + np.append(0.0, error[:-1])
     return np.cumsum(turning + jumps), np.maximum.accumulate(size)
 
 

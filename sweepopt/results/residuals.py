@@ -59,6 +59,8 @@ class Residuals(NamedTuple):
         int 2 G and int |r|^2; squares are infinite where A is singular.
     turning : ndarray
         int |r'|, in the dual norm of B; infinite where mu Lam is at most VARIES.
+    size : ndarray
+        sup |r|, in the same way.
     begin, end : ndarray, shape (c, n, dim)
         r at the ends of each step.
     error : ndarray
@@ -68,6 +70,7 @@ class Residuals(NamedTuple):
     gaps: np.ndarray
     squares: np.ndarray
     turning: np.ndarray
+    size: np.ndarray
     begin: np.ndarray
     end: np.ndarray
     error: np.ndarray
@@ -188,10 +191,11 @@ def _bounds(
     """Those of all curves, from intervals treated at once."""
     count, moving, step = len(curves), model.motion, model.intervals.step
     width = process.dim if moving.offsets is None else max(process.dim, moving.offsets.dim)
-    size = max(CHUNK // (30 * count * width), 1)
+    many = max(CHUNK // (30 * count * width), 1)
+    terms = _sizes_of_terms(norms, moving.center)
     parts = []
-    for start in range(0, len(step), size):
-        part = slice(start, start + size)
+    for start in range(0, len(step), many):
+        part = slice(start, start + many)
         i, begin, end = (x[part] for x in model.intervals)
         # the intervals of the first curve, then those of the second
         functions: list[Any] = [
@@ -205,18 +209,18 @@ def _bounds(
             np.tile(model.distance[part], count),
         )
         slopes = np.concatenate(curves[:, i])
-        each = _on_intervals(process, norms, nodes, slopes, some, *functions)
+        each = _on_intervals(process, norms, nodes, slopes, some, terms, *functions)
         parts.append([x.reshape(count, len(i), *x.shape[1:]) for x in each])
     of_all = (np.concatenate(some, axis=1) for some in zip(*parts, strict=True))
-    gaps, squares, turning, begin, end, error = of_all
+    gaps, squares, turning, size, begin, end, error = of_all
     first = np.searchsorted(step, np.arange(len(nodes.velocity)))
     cuts = np.setdiff1d(np.arange(1, len(step)), first)  # inside of steps, where r may jump
     jumps = norms.dual_B(begin[:, cuts] - end[:, cuts - 1])
     turning[:, cuts] += jumps + error[:, cuts] + error[:, cuts - 1]
     gaps, squares, turning = (np.add.reduceat(x, first, axis=1) for x in (gaps, squares, turning))
     last = np.append(first[1:], len(step)) - 1
-    error = np.maximum.reduceat(error, first, axis=1)
-    return Residuals(gaps, squares, turning, begin[:, first], end[:, last], error)
+    size, error = (np.maximum.reduceat(x, first, axis=1) for x in (size, error))
+    return Residuals(gaps, squares, turning, size, begin[:, first], end[:, last], error)
 
 
 def _on_intervals(
@@ -225,6 +229,7 @@ def _on_intervals(
     nodes: Nodes,
     slopes: np.ndarray,
     model: _Model,
+    terms: list[np.ndarray],
     center: Interpolated,
     scale: Interpolated,
     offsets: Interpolated | None,
@@ -247,18 +252,27 @@ def _on_intervals(
         w = scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
         # a curve that is moved has no bound of int |r'|
         gaps, moved = _gaps_in_shape(norms, model, scale, s, directions, ~stiff)
-        error, error_B, turning = _interpolation_errors(norms, model.motion, s, center, scale)
+        error, error_B, turning = _interpolation_errors(
+            norms, model.motion, terms, s, center, scale
+        )
         error = error + moved / math.sqrt(norms.beta)
     else:
         w, gaps = _within_rows(model, aim, directions, offsets)
     r = force - w
-    squares, varies = np.full((2, len(a)), np.inf)
+    squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
-        squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + error) ** 2
-    varies[stiff] = np.sqrt(norms.dual_B(DERIVATIVE @ r[stiff]) ** 2 @ WEIGHTS) + turning[stiff]
+        sizes = norms.dual(r, np.sqrt(2 * gaps)[:, None])
+        squares = length * (np.sqrt(sizes**2 @ WEIGHTS) + error) ** 2
+    known = np.sqrt(2 * length * gaps)[stiff]
+    slopes_of_r = norms.dual_B(DERIVATIVE @ r[stiff], known[:, None])
+    varies[stiff] = np.sqrt(slopes_of_r**2 @ WEIGHTS)
+    # |r - its mean|^2 <= int |r'|^2 / 3
+    size[stiff] = norms.dual_B(WEIGHTS @ r[stiff], known) + varies[stiff] / math.sqrt(3)
+    size += error_B
+    varies[stiff] += turning[stiff]
     varies[moved > 0] = np.inf
     first, last = np.moveaxis(TO_BERNSTEIN[[0, -1]] @ r, 1, 0)
-    return Residuals(2 * length * gaps, squares, varies, first, last, error_B)
+    return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 
 
 def _gaps_in_shape(
@@ -308,14 +322,26 @@ def _within_rows(
     return basis(5, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
 
 
+def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[np.ndarray]:
+    """The vectors of a center(t) in both dual norms; what a function varies is Euclidean."""
+    roots = np.sqrt([norms.beta, norms.beta_B])
+    if not center.terms:
+        return [np.array([1 / root if root else math.inf]) for root in roots]
+    vectors = np.array([f for _, f in center.terms])
+    return [norms.dual(vectors), norms.dual_B(vectors)]
+
+
 def _interpolation_errors(
-    norms: Norms, moving: Motion, s: np.ndarray, center: Interpolated, scale: Interpolated
+    norms: Norms,
+    moving: Motion,
+    terms: list[np.ndarray],
+    s: np.ndarray,
+    center: Interpolated,
+    scale: Interpolated,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What interpolated histories add to |r|, in both dual norms, and to int |r'| in that of B."""
     both = []
-    for norm, root in ((norms.dual, norms.beta), (norms.dual_B, norms.beta_B)):
-        euclidean = 1 / math.sqrt(root) if root else math.inf  # so is the variation of a function
-        sizes = [float(norm(f)) for _, f in moving.center.terms] or [euclidean]
+    for norm, sizes in zip((norms.dual, norms.dual_B), terms, strict=True):
         error, turning = (
             np.where(e > 0, e * sizes, 0.0).sum(axis=1) for e in (center.error, center.slope_error)
         )

@@ -263,6 +263,7 @@ class Algebra(NamedTuple):
     add: Callable[[Any, Any], Any]
     scale: Callable[[Any, Any], Any]
     intersect: Callable[[Any, Any], Any]
+    image: Callable[[Any, Any], Any]
     epigraph: Callable[[Any, Any], tuple[Any, list[Any]]]
 
 
@@ -289,6 +290,9 @@ class Operators(Brief):
 
     def __rmul__(self, factor: float) -> Any:
         return self.algebra.scale(factor, self)
+
+    def __rmatmul__(self, M: Any) -> Any:
+        return self.algebra.image(M, self)
 
     def __truediv__(self, divisor: float) -> Any:
         r = number("C / r: r", divisor)

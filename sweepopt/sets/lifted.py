@@ -335,10 +335,11 @@ class Lifted(ConvexSet):
         residuals = Lifted(Form.alone(self.part).image(self.lifted.F))
         near = residuals.near(np.zeros(residuals.dim))
         size = float(np.abs(np.append(near.start.s, self.part.offsets)).max(initial=0.0))
-        if near.exact:
-            return bool(np.abs(near.w).max() > 10 * ROUNDING * size)
-        rounding = 10 * ROUNDING * size * float(np.linalg.norm(near.w))
-        return residuals.support(-near.w) < -rounding
+        rounding, distance = 10 * ROUNDING * size, float(np.linalg.norm(near.w))
+        if near.exact and distance <= rounding:
+            return False
+        support = residuals.support(-near.w)
+        return support < -rounding * distance or (near.exact and support == math.inf)
 
     def polar(self) -> ConvexSet:
         self.part.polar()  # says so if this is no cone at all

@@ -87,7 +87,7 @@ class MovingSet(Operators):
             raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
         return C
 
-    def contains(self, *_: Any) -> Any:
+    def contains(self, *_: Any, **__: Any) -> Any:
         """Refused, as are `support` and `project`: C(t) has them."""
         raise InputError("C moves: ask it at a time, C.at(t).contains(w), .support(z), .project(w)")
 
@@ -140,8 +140,8 @@ class MovingSet(Operators):
             raise type(error)(f"{where}: {error}") from error
         if not isinstance(C, ConvexSet):
             raise InputError(
-                f"C(t) at t = {t:g} must be a set, got {type(C).__name__}; a function that says "
-                "where C(t) is belongs into so.Moving(set, center=function)"
+                f"C(t) at t = {t:g} must be a set, got {type(C).__name__}; return one, or, "
+                "if the function says where C(t) is, give so.Moving(set, center=function)"
             )
         return C
 

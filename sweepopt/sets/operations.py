@@ -151,6 +151,8 @@ def image(M: Any, C: Any) -> Any:
     --------
     >>> image([[1.0], [1.0]], Box(-1, 1)).support([2.0, 3.0])
     5.0
+    >>> (np.array([[1.0], [1.0]]) @ Box(-1, 1)).support([2.0, 3.0])  # the same
+    5.0
     """
     if not isinstance(C, (ConvexSet, MovingSet)):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
@@ -220,4 +222,4 @@ def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     require_same_dim(what, C, D)
 
 
-Operators.algebra = Algebra(add, scale, intersect, epigraph)
+Operators.algebra = Algebra(add, scale, intersect, image, epigraph)

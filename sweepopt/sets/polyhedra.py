@@ -444,7 +444,9 @@ class HalfSpace(Polyhedron):
     def __init__(self, normal: Any, offset: float) -> None:
         row = vector("normal", normal)
         if not row.any():
-            raise InputError("normal must not be zero")
+            raise InputError(
+                "normal must not be zero; give the direction that leads out of the set"
+            )
         super().__init__(row[None, :], [number("offset", offset)])
 
     def __repr__(self) -> str:

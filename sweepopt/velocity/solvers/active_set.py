@@ -24,6 +24,7 @@ from importlib.util import find_spec
 import numpy as np
 import scipy.linalg
 
+from sweepopt.checks import HUGE
 from sweepopt.errors import EmptySetError, brought_by
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
@@ -92,8 +93,10 @@ class DAQP(Small):
             force = binary(np.abs(q).max())
             bounds: dict[str, np.ndarray] = {}
             if C is not box or force != unit:
-                box, unit, far = C, force, INFINITE * force * root
-                above, below = (INFINITE * (C.project(end) / far) for end in (far, -far))
+                box, unit = C, force
+                limit = INFINITE / np.maximum(1.0, force * root * (INFINITE / HUGE))
+                far = limit * force * root
+                above, below = (limit * (C.project(end) / far) for end in (far, -far))
                 bounds = {"bupper": above, "blower": below}
             engine.update(f=inverse.dot(q) / -force, **bounds)
             w, _, flag, info = engine.solve()
