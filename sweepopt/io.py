@@ -12,6 +12,7 @@ import errno
 import json
 import math
 import os
+import platform
 import re
 import sys
 import tomllib
@@ -384,8 +385,8 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def versions_of(packages: Iterable[str]) -> dict[str, str]:
-    """The versions of those that are installed, and of the library."""
-    versions = {}
+    """The versions of Python, of those that are installed, and of the library."""
+    versions = {"python": platform.python_version()}
     for name in packages:
         with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)

@@ -275,6 +275,35 @@ def test_rows_that_are_nearly_dependent_are_followed(seed):
     assert np.abs(found(other.t) - other.u).max() <= 0.02 * np.abs(other.u).max()
 
 
+@pytest.mark.parametrize("seed", [2, 7, 428, 519, 947])
+def test_rows_through_one_corner_take_over_from_one_another(seed):
+    # more rows than unknowns hold at the start, and each of them moves at a speed of its own; the
+    # seeds are some of those that fail without the program a little later, or with rows that
+    # depend on active ones
+    random = np.random.default_rng(seed)
+    n = random.integers(2, 4)
+    m = n + random.integers(1, 3)
+    G = random.normal(size=(m, n)).round(1)
+    if seed % 3 < 2:
+        G[-1] = G[0] + G[1] if seed % 3 == 0 else random.uniform(0.2, 1, n) @ G[:n]
+    sides = so.Separable(
+        [
+            (so.Constant(1.0), G @ np.ones(n)),
+            (so.Polynomial([0.0, 1.0]), 1.0 * random.integers(-2, 3, m)),
+        ]
+    )
+    L = random.normal(size=(n, n))
+    A = np.eye(n) + (L @ L.T if seed % 2 else 0)
+    pull = random.uniform(0, 1, m) * (random.random(m) < 0.7)
+    process = so.SweepingProcess(A, np.eye(n), so.Polyhedron(G, sides), 1 + G.T @ pull)
+    exact, steps = (
+        so.solve(process, t_end=0.3, steps=k, scheme=scheme)
+        for k, scheme in ((3, "exact"), (300, "sdirk2"))
+    )
+    assert exact.success
+    assert abs(exact.u[-1] - steps.u[-1]).max() < 1e-5
+
+
 def test_a_scale_that_is_negative_between_the_nodes_is_refused():
     scale = so.Table([0, 0.4, 0.5, 0.6, 1], [1, 1, -0.1, 1, 1])
     for shape in (so.Box(-1, 1), so.Box(-1, np.inf)):

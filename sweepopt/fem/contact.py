@@ -199,6 +199,11 @@ class Contact(Brief):
         return self.weight * self.bound
 
     @property
+    def shares(self) -> Array:
+        """Of the contact's length or area that the nodes stand for, shape (m,)."""
+        return self.weight / self.weight.sum()
+
+    @property
     def on_curve(self) -> bool:
         """Whether all nodes follow one another along curves."""
         return not bool(np.isnan(self.arc).any())
@@ -438,8 +443,7 @@ class Slip:
     @cached_property
     def share(self) -> Array:
         """Share of the contact's length that slips in each step, shape (n,)."""
-        weight = self.contact.weight
-        return (self.state != 0) @ (weight / weight.sum())
+        return (self.state != 0) @ self.contact.shares
 
     @cached_property
     def total(self) -> Array:
@@ -448,11 +452,10 @@ class Slip:
 
     def statistics(self) -> SlipStatistics:
         """The slip statistics of the run."""
-        weight = self.contact.weight / self.contact.weight.sum()
         slipping = self.state != 0
         most = int(np.argmax(self.share))
         return SlipStatistics(
-            ever=float(slipping.any(axis=0) @ weight),
+            ever=float(slipping.any(axis=0) @ self.contact.shares),
             most=float(self.share[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),

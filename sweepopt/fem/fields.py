@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, number
+from sweepopt.checks import at_path, choice, number
 from sweepopt.errors import InputError, shown
 from sweepopt.loads import check_points
 
@@ -227,10 +227,8 @@ class Coefficient(NamedTuple):
             for key, value in datum.items():
                 number(f"{self.name}.{key}", value, *limits)
         elif isinstance(datum, str):
-            try:
+            with at_path(f"{self.name} "):
                 Formula(datum)
-            except InputError as error:
-                raise InputError(f"{self.name} {error}") from error
         elif not callable(datum):
             number(self.name, datum, *limits)
 

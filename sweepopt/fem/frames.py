@@ -48,9 +48,9 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
     count, normal = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=bool)
     basis = np.zeros((size, d, d))
 
-    def add(nodes: Indices, directions: Array, least: float) -> None:
+    def add(nodes: Indices, directions: Array, least: float = PARALLEL) -> None:
         """Make a direction of each node orthogonal to those before, and append what is left."""
-        old = basis[nodes]
+        old, directions = basis[nodes], np.broadcast_to(directions, (len(nodes), d))
         for _ in range(2):
             along = np.einsum("ksi,ki->ks", old, directions)
             directions = directions - np.einsum("ksi,ks->ki", old, along)
@@ -64,20 +64,19 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
         nodes, normals = normals_at(body, facets)
         for letter in "xyz"[:d] if what == "all" else what:
             if letter == "n":
-                add(nodes, normals, PARALLEL)
-                continue
-            for axis in axes if letter == "t" else [axes["xyz".index(letter)]]:
-                direction = np.tile(axis, (len(nodes), 1))
-                if letter == "t":
-                    direction -= (normals @ axis)[:, None] * normals
-                add(nodes, direction, PARALLEL)
+                add(nodes, normals)
+            elif letter == "t":
+                for axis in axes:
+                    add(nodes, axis - (normals @ axis)[:, None] * normals)
+            else:
+                add(nodes, axes["xyz".index(letter)])
     fixed = count.copy()
     if body.turned and d > 1:
         nodes, normals = normals_at(body, body.facets("turned", body.turned)[0])
-        add(nodes, normals, PARALLEL)
+        add(nodes, normals)
         normal[nodes] = count[nodes] > fixed[nodes]
     for axis in axes:
-        add(np.arange(size), np.tile(axis, (size, 1)), NEW_DIRECTION)
+        add(np.arange(size), axis, NEW_DIRECTION)
     dofs = body.nodes.T  # node, direction
     rows, columns = (np.broadcast_to(x, basis.shape) for x in (dofs[:, None, :], dofs[:, :, None]))
     entries = basis.ravel(), (rows.ravel(), columns.ravel())

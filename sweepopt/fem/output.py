@@ -8,7 +8,6 @@ one, and a run that fails leaves the files of the run before it whole. Pictures 
 from __future__ import annotations
 
 import json
-import platform
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -161,7 +160,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
         "materials": {
             name: k for k, name in enumerate(scene.discretisation.mesh.subdomains or {}, start=1)
         },
-        "versions": {"python": platform.python_version(), **software(solution)},
+        "versions": software(solution),
         "files": files,
     }
     text = json.dumps(summary, default=lambda array: array.tolist())

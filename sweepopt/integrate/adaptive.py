@@ -77,7 +77,7 @@ def first_grid(
     if scheme.explicit and process.B is not None and process.Lam > 0:
         stable = 1 / process.Lam
     first = steps.first or end / (FIRST if known else 2 * FIRST)
-    longest = min(first, period / (2 * PER_PIECE), stable, end / 4)
+    longest = min(first, period / (2 * PER_PIECE), stable)
     if end / longest > STEPS:
         raise InputError(
             f"Adaptive: steps of at most {longest:.3g} up to t_end = {end:g} are more than "

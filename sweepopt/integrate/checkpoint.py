@@ -198,8 +198,7 @@ def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.
 
 
 def _versions() -> dict[str, str]:
-    here = {"python": platform.python_version(), "machine": platform.machine()}
-    return {**here, **versions_of(PACKAGES)}
+    return {"machine": platform.machine(), **versions_of(PACKAGES)}
 
 
 # ---- writing ------------------------------------------------------------------------------------

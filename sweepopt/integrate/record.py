@@ -219,12 +219,10 @@ class Run:
 
         No step is meant that a breakpoint of the load divides, and "" is said of none.
         """
-        parts = [name.rpartition("/")[2] for name in self._solvers]  # "osqp/4"
-        in_parts = np.array([int(n) if n.isdigit() else 1 for n in parts])
-        count = in_parts[self._rows["solver"][: self.done]]
-        at = np.searchsorted(self.grid.times, self.grid.plan.breakpoints) - 1
-        planned = 1 + np.bincount(at, minlength=self.steps)[: self.done]
-        steps = int(((count > 1) & (count != planned)).sum())
+        parts = [name.rpartition("/")[2].isdigit() for name in self._solvers]  # "osqp/4"
+        in_parts = np.array(parts, dtype=bool)[self._rows["solver"][: self.done]]
+        planned = np.searchsorted(self.grid.times, self.grid.plan.breakpoints) - 1
+        steps = np.setdiff1d(np.flatnonzero(in_parts), planned).size
         if not steps:
             return ""
         return f"{steps} step{'s' * (steps > 1)} missed tol as a whole and met it in equal parts."

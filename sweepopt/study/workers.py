@@ -38,8 +38,7 @@ def machine() -> str:
     names = re.findall(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
     name, *_ = *names, platform.processor()
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
-    versions = {"python": platform.python_version(), **versions_of(PACKAGES)}
-    packages = ", ".join(f"{package} {version}" for package, version in versions.items())
+    packages = ", ".join(map(" ".join, versions_of(PACKAGES).items()))
     system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
     return f"{name}, {system}; {packages}"
 

@@ -35,6 +35,7 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import lapack
 
+from sweepopt.checks import at_path
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum
 from sweepopt.linalg import EPS, dense
@@ -145,6 +146,7 @@ class Rows:
             yield a, b, [phi.piece(a, b) for phi in self.histories]
 
 
+@at_path("scheme 'exact' does not apply: ")
 def rows_of(process: SweepingProcess) -> Rows:
     """The rows of a process.
 
@@ -153,13 +155,6 @@ def rows_of(process: SweepingProcess) -> Rows:
     InputError
         If a set is curved or has no rows, the load is a black box, or there are too many unknowns.
     """
-    try:
-        return _rows_of(process)
-    except InputError as error:
-        raise InputError(f"scheme 'exact' does not apply: {error}") from error
-
-
-def _rows_of(process: SweepingProcess) -> Rows:
     if not (process.coercive or process.rate_independent):
         raise InputError("A is singular and not zero; use sdirk2 or auto")
     if process.dim > UNKNOWNS:

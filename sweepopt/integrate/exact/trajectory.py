@@ -103,16 +103,14 @@ class Trajectory:
 
     def __call__(self, t: Any) -> np.ndarray:
         """u(t), shape (dim,) or (k, dim) for a scalar or an array t."""
-        values = self._evaluate(t, Phase.state)
-        return values if self.plan is None else self.plan.state(values)
+        return self._evaluate(t, Phase.state, Plan.state)
 
     def velocity(self, t: Any) -> np.ndarray:
         """u'(t), the left derivative; shape (dim,) or (k, dim)."""
-        values = self._evaluate(t, Phase.velocity)
-        return values if self.plan is None else self.plan.velocity(values)
+        return self._evaluate(t, Phase.velocity, Plan.velocity)
 
-    def _evaluate(self, t: Any, of_phase: Evaluate) -> np.ndarray:
-        """What `of_phase` computes of the phases at the times."""
+    def _evaluate(self, t: Any, of_phase: Evaluate, of_all: Callable[..., Any]) -> np.ndarray:
+        """What `of_phase` computes at the times; of a run with a plan `of_all` has all unknowns."""
         start = self.phases[0].start
         times = checks.times_inside(t, np.array([start, self.end]))
         flat = times.ravel()
@@ -121,7 +119,8 @@ class Trajectory:
         for k, group in groupby(np.argsort(phase_of).tolist(), phase_of.__getitem__):
             inside = list(group)
             values[inside] = of_phase(self.phases[k], flat[inside])
-        return values.reshape(*times.shape, values.shape[-1])
+        values = values.reshape(*times.shape, values.shape[-1])
+        return values if self.plan is None else of_all(self.plan, values)
 
 
 def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[Phase]:
