@@ -152,11 +152,15 @@ class Factor:
             return False
         return size * self.bound_factor <= limit or self.dual_norm(w) <= limit
 
-    def apply(self, z: np.ndarray, q: np.ndarray, enough: float) -> tuple[np.ndarray, float]:
-        """M z + q, with more digits where rounding may exceed `enough` * |z|_M, and |z|_M."""
+    def apply(
+        self, z: np.ndarray, q: np.ndarray, enough: float, least: float = 0.0
+    ) -> tuple[np.ndarray, float]:
+        """M z + q and |z|_M; rounding may be `enough` times that or `least`."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
-        if enough < math.inf and not self.rounding(z, euclidean(q / self.root)) <= enough * size:
+        if enough < math.inf and not self.rounding(z, euclidean(q / self.root)) <= enough * max(
+            size, least
+        ):
             return self.precisely(z, q), size
         return force + q, size
 

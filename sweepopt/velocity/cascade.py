@@ -84,7 +84,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         linear = -force if z is None else N.precisely(-z[few], -force)
         answer = solve(linear, S)
         usable = is_finite(answer.z)
-        pair = pair_near(N, linear, S, answer.z, tol) if usable else None
+        pair = pair_near(N, linear, S, answer.z, tol, size) if usable else None
         if pair is None:
             nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED
             # of a set without proof; inf is a proof that rounding hides

@@ -163,7 +163,7 @@ class Inclusion:
         M, z, size = self.M, pair.z, pair.size
         product = M.M.dot(z)
         size_z = math.sqrt(max(z.dot(product), 0.0))
-        allowed, of_z = SHARE * tol * size_z, 0.0
+        allowed, of_z = SHARE * tol * max(size_z, size or 0.0), 0.0
         rounding = self.rounding(of, z, euclidean(of.force / M.root))
         if rounding <= allowed:
             rho = product + of.force - pair.w
@@ -318,9 +318,14 @@ def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: 
     return rated(z, near.certificate + M.norm(z - near.z), size)
 
 
-def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float) -> Proposal | None:
-    """The normal pair of C near an approximate answer; None if the set has no proof."""
-    force, _ = M.apply(z, q, SHARE * tol)
+def pair_near(
+    M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float, size: float | None = None
+) -> Proposal | None:
+    """The normal pair of C near an approximate answer; None if the set has no proof.
+
+    tol is that of the certificate, beside |z|_M or a larger size.
+    """
+    force, _ = M.apply(z, q, SHARE * tol, size or 0.0)
     pair = C.normal_pair(-z, force, M.diagonal)
     if pair is None:
         return None
