@@ -423,7 +423,10 @@ class ConvexSet(Operators, ABC):
         return last[1]
 
     def outline(self) -> np.ndarray:
-        """Points around the boundary of a bounded set in the plane, shape (k, 2); else none."""
+        """Points around the boundary of a bounded set in the plane, shape (k, 2); else none.
+
+        Of a set without certificates they are corners of supporting lines, up to 1e-3 outside.
+        """
         if self.dim != 2 or not math.isfinite(self.magnitude()):
             return np.zeros((0, 2))
         angles = np.linspace(0.0, 2 * math.pi, 73)

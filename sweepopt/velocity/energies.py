@@ -107,8 +107,8 @@ class Energy:
 
         As the energy is convex its derivative along a step grows: of the shares 1, 1/2, 1/4, ...
         that one is taken where it is not STEEPER uphill than it was downhill. No descent is proved:
-        what has not converged after MOST steps goes to the next solver. The tangent is that of the
-        step before where this left less than KEPT of the residual.
+        what has not converged after MOST steps goes to the next solver. A step that leaves less
+        than KEPT of the residual is followed by one with the same tangent.
         """
 
         def at(w: np.ndarray) -> State:
