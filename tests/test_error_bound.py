@@ -3,6 +3,7 @@
 import warnings
 from functools import cache
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -262,6 +263,22 @@ def test_a_sampled_bound_says_what_is_not_known():
             bound = sol.error_bound()
         assert not bound.guaranteed
         assert bound.reason in repr(bound)
+
+
+def test_the_bound_of_sets_without_proofs_is_not_guaranteed():
+    load = so.Separable([(so.Sine(2.0, 2.0), [1.0, 0.5])])
+    disc = so.Constraints(2, lambda w: [cp.norm(w - np.array([3.0, 0.0])) <= 1])
+    processes = [
+        so.SweepingProcess(np.eye(2), np.eye(2), so.Moving(C, load), [3.0, 0.0])
+        for C in (disc, so.Ball([3.0, 0.0], 1.0))
+    ]
+    sol = so.solve(processes[0], t_end=1.0, steps=4)
+    reference = so.solve(processes[1], t_end=1.0, steps=400)
+    error = sizes(processes[1], sol(reference.t) - reference.u).max()
+    with pytest.warns(so.BoundWarning, match="nothing is proved of Constraints"):
+        bound = sol.error_bound()
+    assert not bound.guaranteed
+    assert error <= bound <= 8 * error
 
 
 COMPOSED = {

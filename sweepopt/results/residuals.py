@@ -125,7 +125,8 @@ def residuals(
     model = _model(process, data, reason, norms, nodes, variation, members)
     try:
         moving = model.motion
-        known = bool(model.shapes) and moving.center.bounded and moving.scale.bounded
+        known = bool(model.shapes) and model.shapes[0].certifiable
+        known = known and moving.center.bounded and moving.scale.bounded
         return _bounds(process, norms, nodes, curves, model), "" if known else reason
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
     except EmptySetError as error:
@@ -137,6 +138,8 @@ def _unknown(data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
     if data.shape is None:
         return "C(t) is a function of time: write it as a Moving set, or give variation="
+    if not data.shape.certifiable:
+        return f"nothing is proved of {type(data.shape).__name__}"
     parts = {data.name: data.offsets or data.center, "scale": data.scale}
     for name, f in parts.items():
         if not f.bounded:

@@ -272,7 +272,7 @@ class Cascade:
             for attempt in self._attempts:
                 pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
                 if pair.gap < math.inf or math.isnan(pair.gap):
-                    w = pair.w + of.c
+                    w = pair.w + of.c if pair.gap < math.inf else None
                     return Velocity(pair.z, math.nan, math.nan, attempt.solver.name, w=w)
                 attempt.compiled = None
         if inclusion.rests(of, tol):
