@@ -63,7 +63,7 @@ from sweepopt.integrate import (
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
 from sweepopt.problem import Norms, SweepingProcess, motion
-from sweepopt.results.interpolation import Nodes, cubic, slopes_of_curves
+from sweepopt.results.interpolation import Nodes, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.sets import Polyhedron
 from sweepopt.velocity import Plan
@@ -186,13 +186,14 @@ def error_bound(
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = curves[growth.curve, np.arange(len(t) - 1)]
         difference = _difference(nodes, v, states)
-        distance = norms.A(difference).max(axis=1)
+        sizes = norms.A(difference)
+        distance = sizes.max(axis=1)
         rounding = SUMMED * math.sqrt(len(t)) * norms.A(nodes.u).max()
         first = np.searchsorted(t, run.t[:-1])
         A = np.fmin(A, np.maximum.reduceat(distance + growth.A, first) + rounding)
         distance_B = norms.B(difference).max(axis=1)
         B = np.fmin(B, np.maximum.reduceat(distance_B + growth.B, first) + rounding)
-        below = norms.A(nodes.u - states)[1:] - growth.A - rounding
+        below = sizes[:, -1] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
         passes.append((len(t) - 1, float(growth.A[-1])))
         more = _more(passes, max(SHARE * distance.max(), rounding), work)
@@ -332,14 +333,14 @@ def _variation(
 
 
 def _difference(nodes: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """v - u_n on each step, u at its nodes: Bernstein coefficients, shape (n, 4, dim)."""
-    h = np.diff(nodes.t)[:, None, None]
-    share = (np.arange(4) / 3)[:, None]
-    return (
-        cubic(nodes.u[:-1], nodes.u[1:], h * slopes)
-        - (1 - share) * u[:-1, None]
-        - share * u[1:, None]
-    )
+    """v - u_n on each step, u at its nodes: Bernstein coefficients, shape (n, 2 or 4, dim)."""
+    first, last = (nodes.u - u)[:-1], (nodes.u - u)[1:]
+    share = np.diff(nodes.t)[:, None] / 3
+    bend = share * (slopes[:, 0] - nodes.velocity), share * (nodes.velocity - slopes[:, 2])
+    if not np.any(bend):  # v is straight
+        return np.stack([first, last], axis=1)
+    inner = (2 * first + last) / 3 + bend[0], (first + 2 * last) / 3 + bend[1]
+    return np.stack([first, *inner, last], axis=1)
 
 
 # ---- runs ---------------------------------------------------------------------------------------
