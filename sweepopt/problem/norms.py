@@ -15,7 +15,11 @@ if TYPE_CHECKING:
     from sweepopt.problem import SweepingProcess
 
 
-NEGLIGIBLE = 1e-3  # a bound without a solve is enough: sums of squares grow by 1e-6
+NEGLIGIBLE = 1e-3
+"""Of a number beside which a norm counts: a bound without a solve is enough where that is less.
+
+The bound of a run of n steps grows by a share of 1e-3 sqrt(n) at most; it was 0.3 % on a fault of 51,280
+unknowns, where it saves 7 of 18 solves a step."""
 
 
 class Norms:

@@ -256,8 +256,10 @@ def _more(passes: list[tuple[int, float]], goal: float, work: int) -> int:
     order = 1.0
     if max(bound, larger) < math.inf:
         order = math.log(larger / bound) / math.log(n / before)
-    missing = (bound / goal) ** (1 / order) - 1 if order > 0 and goal > 0 else math.inf
-    if order < STALLS or missing < FEW:
+    if order < STALLS:
+        return 0
+    missing = (bound / goal) ** (1 / order) - 1 if goal > 0 else math.inf
+    if missing < FEW:
         return 0
     # the last pass that WORK allows takes what is left
     finer = FINER * n if work > 2 * (1 + FINER) * n else work - n
