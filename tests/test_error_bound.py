@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from cases import GRIDS, SETS, block, case, random_process, slope, slow
 
 import sweepopt as so
+from sweepopt.results.error_bound import _more
 from sweepopt.study.problems import PROBLEMS
 
 CURVED = ("V05", "B14", "M17")
@@ -150,6 +151,26 @@ def test_the_bound_of_stiff_runs_is_as_close_as_the_readme_says(n, most):
             assert bound.guaranteed
             assert bound.lower <= 1.1 * error
             assert error <= bound <= factor * error
+
+
+@pytest.mark.parametrize(
+    "passes, goal, work, more",
+    [
+        ([(10, 1.0)], 2.0, 1000, 0),  # it is good enough
+        ([(10, 1.0)], 0.5, 1000, 10),  # one pass: order 1
+        ([(10, 4.0), (20, 1.0)], 0.25, 1000, 20),  # order 2
+        ([(10, 1.0), (20, 0.9)], 0.25, 1000, 0),  # noise
+        ([(10, 1.0), (20, 0.26)], 0.25, 1000, 0),  # next to good enough
+        ([(10, 1.0)], 1e-9, 1000, 50),  # a goal of which the first grid knows nothing
+        ([(10, 1.0)], 1e-9, 30, 20),  # all the work that is left
+        ([(10, 1.0)], 0.5, 9, 0),
+        ([(10, np.inf)], 1.0, 1000, 50),
+        ([(10, np.inf)], np.inf, 1000, 0),
+        ([(10, np.nan)], 1.0, 1000, 0),
+    ],
+)
+def test_the_next_grid_is_as_fine_as_the_order_of_the_bound_asks(passes, goal, work, more):
+    assert _more(passes, goal, work) == more
 
 
 @pytest.mark.parametrize("name", ["S03", "P09", "V05"])
