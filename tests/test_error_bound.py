@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from cases import GRIDS, SETS, block, case, random_process, slope, slow
 
 import sweepopt as so
+from sweepopt.problem import Norms
 from sweepopt.results.error_bound import _more
 from sweepopt.study.problems import PROBLEMS
 
@@ -121,6 +122,19 @@ def test_the_bound_of_first_order_schemes_is_close_to_their_error(steps, median,
     effectivity = [sol.error_bound() / case(name).error(sol) for name, sol in runs]
     assert np.median(effectivity) <= median
     assert max(effectivity) <= worst
+
+
+@pytest.mark.parametrize("dual", ["dual", "dual_B"])
+def test_norms_that_take_no_solve_are_above_those_that_do(dual):
+    process = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
+    random = np.random.default_rng(0)
+    w = random.normal(size=(50, process.dim)) * np.geomspace(1e-12, 1.0, 50)[:, None]
+    norm = getattr(Norms(process), dual)
+    solved, some = norm(w), norm(w, np.ones(50))
+    assert (some >= solved * (1 - 1e-12)).all()
+    assert 0 < (some > 1.001 * solved).sum() < 50
+    assert (some[some > 1e-3] <= solved[some > 1e-3] * (1 + 1e-12)).all()
+    assert (norm(0 * w, np.ones(50)) == 0).all()
 
 
 def stiff(n, rate):
