@@ -181,6 +181,8 @@ def test_a_folder_is_no_file_for_a_run(tmp_path):
     (tmp_path / "folder.nc").mkdir()
     with pytest.raises(so.InputError, match="no file can be written"):
         run("eliminated", save=tmp_path / "folder.nc")
+    with pytest.raises(so.InputError, match="it is a folder, name the file in it"):
+        so.Solution.load(tmp_path / "folder.nc")
 
 
 def test_a_history_that_does_not_fit_is_refused_before_the_run():

@@ -267,7 +267,8 @@ def open_run(path: str | PathLike[str]) -> Iterator[xr.Dataset]:
 
     file_of_run = as_path("path", path)
     if not file_of_run.is_file():
-        raise InputError(f"path: there is no file {path}")
+        remedy = "; it is a folder, name the file in it" if file_of_run.is_dir() else ""
+        raise InputError(f"path: there is no file {path}{remedy}")
     _check(file_of_run)
     try:
         with xarray.open_dataset(file_of_run, engine="h5netcdf") as run:
