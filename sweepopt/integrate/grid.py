@@ -97,7 +97,7 @@ def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> np.ndar
 def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: np.ndarray) -> Plan:
     """The plan for these times with the breakpoints of the load in steps, unless they are too many.
 
-    One at a node up to rounding is in no step. C(t) is checked where the parts ask for it.
+    One at a node up to rounding is in no step. C(t) is checked at the others, too.
     """
     points = breakpoints_to_meet(histories_of(process.C), times[0], times[-1])
     slack = TIME_SLACK * np.abs(times).max()
@@ -110,11 +110,7 @@ def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: np.ndarray)
         reason = f"breakpoints of the load: {points.size} inside of steps, over {most} are not met"
         return replace(plan, left_out=(*plan.left_out, reason))
     if points.size:
-        nodes = np.union1d(times, points)
-        ends = np.isin(nodes, points)
-        of_parts = np.flatnonzero(ends[:-1] | ends[1:])
-        stages = nodes[of_parts, None] + np.diff(nodes)[of_parts, None] * plan.scheme.times
-        process.C.members(np.unique(np.minimum(stages, nodes[of_parts + 1, None])))
+        process.C.members(points)
     return replace(plan, breakpoints=points)
 
 

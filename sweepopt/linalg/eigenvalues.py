@@ -15,7 +15,7 @@ from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError, InputError
 from sweepopt.linalg.definiteness import MARGINS, dominates
 from sweepopt.linalg.factor import Factor
-from sweepopt.linalg.matrices import SMALL, dense, is_diagonal, is_dominant, lanczos_start
+from sweepopt.linalg.matrices import dense, is_diagonal, is_dominant, lanczos_start
 from sweepopt.linalg.twice_precision import product_error
 
 SEMIDEFINITE = 1e-10  # of the diagonal: eigenvalues that rounding may have made of 0
@@ -89,9 +89,6 @@ def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
 
 def _estimate(A: Factor, B: Matrix, least: float) -> float:
     """The largest eigenvalue of A^-1 B, or what of it can be seen."""
-    if not sp.issparse(A.M) or A.dim < SMALL:
-        largest = scipy.linalg.eigh(dense(B), dense(A.M), eigvals_only=True)[-1]
-        return max(float(largest), least)
     inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)
     how: dict[str, Any] = {"M": A.M, "Minv": inverse, "which": "LA", "v0": lanczos_start(A.dim)}
     try:  # the eigenvalue is as exact as the square of tol

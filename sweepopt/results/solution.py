@@ -442,9 +442,6 @@ class Solution(Displayed):
         self.process.refuse_state("error_bound")
         if self.complete:
             run = Nodes(self.t, self.u, self.velocity)
-        elif self.exact is not None:
-            u = self.exact(self._grid)
-            run = Nodes(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
         elif self.loaded:
             raise InputError(
                 "error_bound of a run from a file needs all its steps, as the file has no plan by "
