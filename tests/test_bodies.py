@@ -331,6 +331,28 @@ def test_a_prescribed_displacement_is_met_and_its_traction_relaxes():
     np.testing.assert_allclose(end, [0.25, -0.0625] * plate.points, atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    "moves",
+    [
+        so.Sine(1.0, 1.3, 0.2),
+        so.Triangle(1.0, 0.7),
+        so.Table([0.0, 0.3, 0.5, 2.0], [0.0, 1.0, -1.0, 0.0]),
+    ],
+    ids=lambda moves: type(moves).__name__,
+)
+def test_a_body_that_is_moved_by_data_has_an_exact_trajectory_and_a_bound(moves):
+    effects = [*MATERIAL, Friction("left", g=0.3), PrescribedDisplacement("bottom", moves)]
+    scene = antiplane(square(2), clamped="bottom", effects=effects)
+    exact = scene.solve(t_end=2.0, steps=20, scheme="exact").exact
+    times = np.linspace(0.0, 2.0, 401)
+    for scheme in ("auto", "implicit-euler"):
+        sol = scene.solve(t_end=2.0, steps=50, scheme=scheme)
+        bound, off = sol.error_bound(), sol(times) - exact(times)
+        error = np.sqrt((off * (off @ scene.problem.A)).sum(axis=1).max())
+        assert bound.guaranteed
+        assert error <= bound <= 3 * error
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
     """By the strain; in plane strain by (1 + nu) strain, as nothing gives way along z."""

@@ -19,10 +19,22 @@ HISTORIES = [
     Triangle(-1.0, period=40.0),
     Table([-1.0, 0.5, 0.75, 2.0, 9.0], [0.0, 3.0, 3.0, -1.0, 5.0]),
 ]
+RATES = [*(phi.rate() for phi in HISTORIES), Polynomial([1.0, 0.0, -0.2, 0.01]).rate()]
 INTERVALS = [(0.0, 8.0), (0.31, 0.32), (-0.9, 0.1), (0.5, 2.0), (1.0, 1.0), (3.3, 7.77)]
 
 
 @pytest.mark.parametrize("phi", HISTORIES, ids=str)
+def test_the_rate_of_a_history_is_its_slope(phi):
+    a, b = -0.9, 8.0
+    t = np.union1d(np.linspace(a, b, 100_001), phi.breakpoints(a, b))
+    rate, middle = phi.rate(), (t[1:] + t[:-1]) / 2
+    np.testing.assert_allclose(rate(middle), np.diff(phi(t)) / np.diff(t), atol=1e-6)
+    assert isinstance(rate(0.3), float)
+    for end in phi.breakpoints(a, b):  # from the left where it jumps, also at a time next to it
+        assert rate(float(np.nextafter(end, b))) == pytest.approx(rate(end - 1e-6))
+
+
+@pytest.mark.parametrize("phi", [*HISTORIES, *RATES], ids=str)
 def test_variation_is_that_of_a_fine_sampling_additive_and_straight_between_breakpoints(phi):
     for a, b in INTERVALS:
         t = np.union1d(np.linspace(a, b, 100_001), phi.breakpoints(a, b))
@@ -34,10 +46,10 @@ def test_variation_is_that_of_a_fine_sampling_additive_and_straight_between_brea
     assert pieces == pytest.approx(phi.variation(cuts[0], cuts[-1]), rel=1e-12, abs=1e-14)
     cuts = phi.breakpoints(-0.5, 8.5)
     assert np.all((cuts > -0.5) & (cuts < 8.5))
-    if not isinstance(phi, Sine):
+    if not isinstance(phi, (Sine, Polynomial)):
         ends = np.concatenate([[-0.5], cuts, [8.5]])
-        middle = (ends[1:] + ends[:-1]) / 2
-        np.testing.assert_allclose(phi(middle), (phi(ends[1:]) + phi(ends[:-1])) / 2, atol=1e-12)
+        early, middle, late = (ends[:-1] + share * np.diff(ends) for share in (0.25, 0.5, 0.75))
+        np.testing.assert_allclose(phi(middle), (phi(early) + phi(late)) / 2, atol=1e-12)
 
 
 def test_a_table_answers_inside_its_range_and_at_its_ends_up_to_rounding():

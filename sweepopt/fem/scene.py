@@ -643,23 +643,6 @@ def _force(terms: Sequence[Any], dim: int, internal: int) -> Any:
     return Separable(padded) if terms else None
 
 
-class _Rate(NamedTuple):
-    """phi'(t), from the left where it jumps."""
-
-    history: History
-
-    def __call__(self, t: float) -> float:
-        end = t if t > 0 else float(next(iter(self.breakpoints(0.0, 1.0)), 1.0))
-        start = float(next(iter(self.breakpoints(0.0, end)[::-1]), 0.0))
-        piece = self.history.piece(start, end)
-        s = t - piece.origin
-        slope = float(np.polynomial.Polynomial(piece.polynomial).deriv()(s))
-        return slope + sum(a * w * float(np.cos(w * s + p)) for a, w, p in piece.waves)
-
-    def breakpoints(self, a: float, b: float) -> Array:
-        return self.history.breakpoints(a, b)
-
-
 def _lifted(
     space: Discretisation,
     effects: Mapping[str, Effect],
@@ -670,7 +653,7 @@ def _lifted(
     terms: list[Force] = []
     for history, d in lifts:
         phi: Any
-        for phi, M in ((_Rate(history), A), (history, B)):
+        for phi, M in ((history.rate(), A), (history, B)):
             if M is not None:
                 terms.append((phi, -space.restrict(M @ d)))
     return terms

@@ -13,6 +13,7 @@ from sweepopt.loads.history import (
     Piece,
     Polynomial,
     Sine,
+    Slope,
     Triangle,
     breakpoints,
 )
@@ -26,6 +27,7 @@ __all__ = [
     "Polynomial",
     "Separable",
     "Sine",
+    "Slope",
     "Table",
     "Triangle",
     "VectorTable",

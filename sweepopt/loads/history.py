@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import HUGE, entries, meaning, number, times
+from sweepopt.checks import HUGE, TIME_SLACK, entries, meaning, number, times
 from sweepopt.errors import InputError, shown
 
 Array = NDArray[np.float64]
@@ -74,6 +74,37 @@ class History:
         """Its closed form on [a, b], where no breakpoint lies between a and b."""
         start, end = self(np.array([a, b]))
         return Piece(a, (float(start), float(end - start) / (b - a)))
+
+    def rate(self) -> History:
+        """phi', from the left where it jumps."""
+        return Slope(self)
+
+    def slope(self, t: Any) -> Any:
+        """phi' at times that are no breakpoints."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Slope(History):
+    """phi' of a history that is straight between its breakpoints, from the left where it jumps."""
+
+    history: History
+
+    def __call__(self, t: ArrayLike) -> Any:
+        at = as_times(t)
+        return self.history.slope(at - TIME_SLACK * abs(at))
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Those of the history."""
+        return self.history.breakpoints(a, b)
+
+    def _extremes(self, a: float, b: float) -> Array:
+        ends = np.array([a, *self.breakpoints(a, b), b])
+        return np.append(self(a), self.history.slope(0.5 * (ends[1:] + ends[:-1])))
+
+    def piece(self, a: float, b: float) -> Piece:
+        """A constant."""
+        return Piece(a, (float(self.history.slope(0.5 * (a + b))),))
 
 
 def breakpoints(histories: Iterable[Any], a: float, b: float) -> Array:
@@ -145,6 +176,10 @@ class Constant(_Formula):
     def __call__(self, t: ArrayLike) -> Any:
         return self.value + 0.0 * as_times(t)
 
+    def rate(self) -> History:
+        """0."""
+        return Constant(0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Polynomial(History):
@@ -195,6 +230,10 @@ class Polynomial(History):
     def piece(self, a: float, b: float) -> Piece:
         """Itself."""
         return Piece(0.0, tuple(self.coefficients.tolist()))
+
+    def rate(self) -> History:
+        """The derivative."""
+        return Polynomial(np.polynomial.Polynomial(self.coefficients).deriv().coef)
 
     def __repr__(self) -> str:
         return f"Polynomial({self.coefficients.tolist()})"
@@ -279,6 +318,11 @@ class Sine(_Periodic):
         wave = (self.amplitude, 2.0 * math.pi / self.period, self.phase)
         return Piece(a, (self.offset,), (wave,))
 
+    def rate(self) -> History:
+        """The cosine."""
+        speed = 2.0 * math.pi / self.period * self.amplitude
+        return Sine(speed, self.period, self.phase + math.pi / 2)
+
 
 @meaning(frequency="; give period, 1 / frequency")
 @dataclass(frozen=True)
@@ -314,3 +358,8 @@ class Triangle(_Periodic):
     def breakpoints(self, a: float, b: float) -> Array:
         """Crests and troughs strictly inside (a, b)."""
         return self.turning_points(*interval(a, b))
+
+    def slope(self, t: Any) -> Any:
+        """phi' at times that are no breakpoints."""
+        falls = (4.0 * (t / self.period) - 1.0) % 4.0 < 2.0
+        return self.amplitude * (1.0 - 2.0 * falls) * (4.0 / self.period)

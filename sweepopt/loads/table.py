@@ -103,6 +103,11 @@ class Table(Brief, History):
             )
         return at
 
+    def slope(self, t: Any) -> Any:
+        """phi' at times that are no breakpoints."""
+        k = np.clip(np.searchsorted(self.times, t) - 1, 0, self.times.size - 2)
+        return (np.diff(self.values) / np.diff(self.times))[k]
+
     def check_run(self, start: float, end: float) -> None:
         """Refuse a run that goes on where the table says nothing."""
         try:

@@ -26,6 +26,7 @@ from sweepopt.loads import (
     Polynomial,
     Separable,
     Sine,
+    Slope,
     Table,
     Triangle,
     VectorTable,
@@ -180,7 +181,8 @@ def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
 # ---- how far it moves ---------------------------------------------------------------------------
 
 BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
-CONTINUOUS = (Constant, Polynomial, Sine, Triangle)
+CONTINUOUS = (Constant, Polynomial, Sine, Triangle, Slope)
+"""Histories without jumps; those of the velocity of a motion that is prescribed are none of it."""
 Distance = Callable[[np.ndarray], float]
 
 
