@@ -49,6 +49,8 @@ def public(thing: Any) -> Any:
     if isinstance(thing, type):
         for name in vars(thing).keys() & {"__new__", "__init__"}:
             setattr(thing, name, with_checks(getattr(thing, name), thing))
+        for name in vars(thing).keys() & {"save", "plot", "animate", "write"}:
+            setattr(thing, name, with_checks(getattr(thing, name)))
     elif callable(thing):
         thing = with_checks(thing)
         setattr(sys.modules[thing.__module__], thing.__name__, thing)
@@ -306,7 +308,8 @@ def matrix(name: str, value: Any) -> Matrix:
         result = floats(name, value, "a matrix of numbers")
     if result.ndim != 2:
         raise InputError(
-            f"{name} must have two axes, got shape {result.shape}; one row is [[1.0, 2.0]]"
+            f"{name} must have two axes, got shape {result.shape}; one row is [[1.0, 2.0]], a "
+            "diagonal matrix np.diag(values)"
         )
     return bounded(name, result, "finite numbers")
 

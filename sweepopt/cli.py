@@ -30,7 +30,7 @@ from sweepopt.errors import (
     brought_by,
 )
 from sweepopt.integrate import SolveOptions, schemes
-from sweepopt.io import find_scene, list_scenes, read_toml
+from sweepopt.io import find_scene, folder_at, list_scenes, read_toml
 from sweepopt.velocity import Plan, solvers
 
 if TYPE_CHECKING:
@@ -182,8 +182,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.animate:
         drawn.append(f"{pictures.animated(scene)}.{options.animate}")
         writer_of(Path(drawn[-1]))
-    folder = options.out or Path("results") / path.stem
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = folder_at("--out", options.out or Path("results") / path.stem)
     process, started = scene.process, clock.perf_counter()
     solving = SolveOptions(
         *(scene.t_end, scene.steps, scene.scheme, scene.solver, scene.tol), on_failure="stop"

@@ -343,7 +343,8 @@ def _with_bound(run: Callable[[np.ndarray], Solution], times: np.ndarray, error:
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
         f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "
-        "steps. Ask for less, take a scheme of second order, or tighten tol",
+        'steps. Ask for less, tighten tol, or take a scheme of second order, or "exact" where C(t) '
+        "has flat faces and the load is data",
         solution,
     )
 

@@ -58,6 +58,16 @@ def writable(name: str, value: Any) -> Path:
     return path
 
 
+def folder_at(name: str, path: Path) -> Path:
+    """A folder, which is made if it is not there, or an error that names the argument."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = f"where no folder can be made: {error.strerror}"
+        raise InputError(f"{name} is {shown(str(path))}, {reason}") from error
+    return path
+
+
 def read_bytes(path: Path) -> bytes:
     """The content of a file.
 
@@ -98,7 +108,8 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except ValueError as error:  # not TOML, or a number of thousands of digits
-        raise InputError(f"{where}: is not TOML: {error}") from error
+        twice = "; several tables of one kind are [[table]], [[table]]" * ("twice" in str(error))
+        raise InputError(f"{where}: is not TOML: {error}{twice}") from error
     except RecursionError as error:
         raise InputError(f"{where}: is not TOML: brackets within brackets without end") from error
 

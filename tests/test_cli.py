@@ -258,7 +258,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
         (["ring.toml", "--solver", "magic"], "solver 'magic' is not known"),
         (["ring.toml", "--steps", "0"], "steps must be a positive whole number"),
         (["ring.toml", "--tol", "-1"], "tol must be > 0"),
-        (["ring.toml", "--out", "ring.msh"], "ring.msh: File exists"),
+        (["ring.toml", "--out", "ring.msh"], "--out is 'ring.msh', where no folder can be"),
         (["bad.toml"], "sweepopt: bad.toml: effects.friction.g must be >= 0"),
         (["ring.toml", "--set", "time.end=0"], "sweepopt: ring.toml: time.end must be > 0"),
         (["pipe", "--set", "solve.scheme=rk4"], "pipe.toml: solve.scheme 'rk4' is not known; use"),

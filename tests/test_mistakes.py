@@ -45,6 +45,17 @@ def contributed(make):
     return so.fem.body(section, [so.fem.Viscosity(1.0), Given(make)])
 
 
+def rubs(g=1.0, block=1, weight=None):
+    """Rows that yield at all unknowns, as a user's effect may state them."""
+
+    def make(body):
+        E = sp.eye_array(body.dim, format="csr")
+        some = np.ones(body.dim) if weight is None else weight
+        return so.fem.Contribution(yields=[so.fem.Yield(so.fem.Rows(E, block, some, "nodes"), g)])
+
+    return contributed(make)
+
+
 def matrix_of(body, value):
     return so.fem.Contribution(A=sp.diags_array(np.full(body.dim, value)))
 
@@ -100,7 +111,7 @@ def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set():
 
 def test_an_effect_that_is_registered_as_an_object_is_named(monkeypatch):
     monkeypatch.setitem(so.fem.EFFECTS, "given", Given(None))
-    with pytest.raises(so.InputError, match=r"EFFECTS\['given'\] must be the class itself, got G"):
+    with pytest.raises(so.InputError, match=r"EFFECTS\['given'\] must be a class .*, got G"):
         scene("[effects.given]\n", HELD)
 
 

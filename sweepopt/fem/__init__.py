@@ -36,7 +36,7 @@ from sweepopt.fem.effects import (
     Viscosity,
     YieldStress,
 )
-from sweepopt.fem.fields import Profile, SlipTable, SlipWeakening
+from sweepopt.fem.fields import Coefficient, Profile, SlipTable, SlipWeakening
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
@@ -47,6 +47,7 @@ from sweepopt.fem.spaces import Discretisation
 __all__ = [
     "EFFECTS",
     "BodyForce",
+    "Coefficient",
     "Contact",
     "Contribution",
     "Dashpot",

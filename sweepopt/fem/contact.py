@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from sweepopt.checks import choice, count, vector
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
@@ -87,6 +88,19 @@ class Yield(Brief):
     contact: Contact | None = None
     slip: SlipLaw | None = None
     histories: Sequence[Callable[[float], Any]] = ()
+
+    def check(self) -> None:
+        """Refuse numbers that do not belong to these rows; a user may have written them."""
+        E, block, weight, where = vars(self.rows).values()
+        choice("rows.where", where, ("trace", "nodes", "gradient", "internal"))
+        blocks, rest = divmod(E.shape[0], count("rows.block", block))
+        if rest:
+            raise InputError(f"rows.E has {E.shape[0]} rows, which are no blocks of {block}")
+        g = self.g(0.0) if callable(self.g) else self.g
+        for name, given in (("g", g), ("rows.weight", weight)):
+            values = vector(name, given, blocks if np.ndim(given) else None, finite=False)
+            if (values < 0).any():
+                raise InputError(f"{name} must be >= 0, got {values.min():g}")
 
     def at(self, t: float, u: Array | None = None) -> Array:
         """Radii w_k g_k at a time and a state, the unslipped one if there is none, shape (m,)."""

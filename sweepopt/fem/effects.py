@@ -660,6 +660,11 @@ class PrescribedDisplacement(Record):
                 f"{shown(self.history)}"
             )
 
+    @property
+    def pulled(self) -> Sequence[str]:
+        """What pictures mark."""
+        return self.on
+
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
         body.facets("on", self.on)

@@ -244,7 +244,7 @@ class Coefficient(NamedTuple):
         self,
         datum: Datum,
         points: ArrayLike,
-        groups: Mapping[str, Indices],
+        groups: Mapping[str, Indices] | None = None,
         t: float | None = None,
     ) -> Array:
         """Values at points of cells.
@@ -265,7 +265,7 @@ class Coefficient(NamedTuple):
         x = np.asarray(points)
         values = np.empty(x.shape[1:])
         if isinstance(datum, Mapping):
-            self._fill(values, datum, groups)
+            self._fill(values, datum, groups or {})
             return values
         moves = in_time(datum)
         if moves and t is None:

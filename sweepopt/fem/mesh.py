@@ -111,8 +111,7 @@ def grid(
     if len(formulas := listed("points", points)) != len(lines):
         raise InputError(f"points must be {len(lines)} formulas, one for each of x, y, z")
     places = [
-        Coefficient(f"points[{k}]").values(formula, mesh.p, {})
-        for k, formula in enumerate(formulas)
+        Coefficient(f"points[{k}]").values(formula, mesh.p) for k, formula in enumerate(formulas)
     ]
     return type(mesh)(np.array(places), mesh.t).with_boundaries(boundaries)
 

@@ -300,7 +300,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
             material[members] = k
         mesh.cell_data = {"material": [material]}
     folder = folder / "vtu"
-    folder.mkdir(parents=True, exist_ok=True)
+    io.folder_at("folder", folder)
     nodes = np.append(0, even_steps(report.solution, MOST_FRAMES - 1) + 1)
     t = report.solution.t[nodes]
     velocity = report.scene.velocity(report.solution)[report.steps_at(t)]

@@ -446,7 +446,10 @@ def _composed(
     turned = list(space.turned)
     for label, one in effects.items():
         if isinstance(one, type) or not hasattr(one, "contribute"):
-            raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(one)}")
+            raise InputError(
+                f"{label} must be an object with a method contribute(body), as Viscosity(1.0), got "
+                f"{shown(one)}"
+            )
         if space.components > 1 and hasattr(one, "turned"):
             names = boundary_names(f"{label}.turned", one.turned)
             turned += [name for name in names if name in (space.mesh.boundaries or {})]
@@ -586,15 +589,13 @@ def _valid_contribution(part: Any, dim: int) -> Contribution:
     for k, (phi, f) in enumerate(loads):
         if not callable(phi):
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
-        if not callable(f):
-            fits(f"loads[{k}]", vector(f"loads[{k}]", f).size)
+        fits(f"loads[{k}]", vector(f"loads[{k}]", f(0.0) if callable(f) else f).size)
     for k, one in enumerate(part.yields):
         if not isinstance(one, Yield):
             raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
-        fits(f"yields[{k}].rows.E", matrix(f"yields[{k}].rows.E", one.rows.E).shape[1])
-        choice(
-            f"yields[{k}].rows.where", one.rows.where, ("trace", "nodes", "gradient", "internal")
-        )
+        with at_path(f"yields[{k}]."):
+            fits("rows.E", matrix("rows.E", one.rows.E).shape[1])
+            one.check()
     return replace(part, loads=loads)
 
 

@@ -251,15 +251,18 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
                 f"{path}: unknown key; there are: {', '.join(EFFECTS)}"
                 f"{suggestion(name, EFFECTS) or own}"
             )
-        if not callable(EFFECTS[name]):
-            instance = shown(EFFECTS[name])
-            raise InputError(f"{path}: EFFECTS[{name!r}] must be the class itself, got {instance}")
+        kind = EFFECTS[name]
+        if not callable(kind) or (table and getattr(kind, "__init__", None) is object.__init__):
+            raise InputError(
+                f"{path}: EFFECTS[{name!r}] must be a class whose fields are the keys, with "
+                f"@dataclass(frozen=True) above it, got {shown(kind)}"
+            )
         several = {path: table}
         if isinstance(table, list):
             several = {f"{path}[{k}]": one for k, one in enumerate(table)}
-        elif _are_named(EFFECTS[name], table):
+        elif _are_named(kind, table):
             several = {f"{path}.{key}": one for key, one in table.items()}
-        kinds |= {label: (EFFECTS[name], one) for label, one in several.items()}
+        kinds |= {label: (kind, one) for label, one in several.items()}
     return kinds
 
 

@@ -101,7 +101,8 @@ def displacement(report: Report, t: Array) -> Field:
         for name in boundary_names(f"{type(one).__name__}.pulled", one.pulled)
     ]
     arcs, look = [(body.mesh.boundary_facets(), "black", 0.6)], colours_of(u)
-    for what, names, colour in (("clamped", body.clamped, "black"), ("pulled", pulled, PULLED)):
+    clamped = [name for name in body.clamped or () if name not in pulled]
+    for what, names, colour in (("clamped", clamped, "black"), ("pulled", pulled, PULLED)):
         if names:
             arcs.append((body.facets(what, names)[0], colour, 3.0))
             legend[colour] = what

@@ -388,7 +388,7 @@ class Discretisation(Brief):
         for dofs, datum in zip(
             self.nodes, coefficient.parts(function, self.components), strict=True
         ):
-            full[dofs] = coefficient.values(datum, self.points.T, {})
+            full[dofs] = coefficient.values(datum, self.points.T)
         return np.asarray(self.restrict(full))
 
     def rows(self, basis: Any, values: Any) -> sp.csr_array:

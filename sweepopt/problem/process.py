@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, agree, at_path, axes, meaning, number, symmetric, vector
+from sweepopt.checks import Matrix, agree, at_path, axes, meaning, number, symmetric, takes, vector
 from sweepopt.display import Displayed, Rows, brief
 from sweepopt.errors import (
     IndefiniteError,
@@ -161,6 +161,11 @@ class SweepingProcess(Displayed):
                 raise IndefiniteError(f"A must be positive semidefinite, but {found}") from None
             self._set_weak_metric(self.B)
         self.coercive = self.time_scale == 0.0
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if "coercive" in vars(self) and name in ("A", "B", "C", "u0", *self._stated_by):
+            raise InputError(f"{name} of a process cannot be changed; make a new process with it")
+        super().__setattr__(name, value)
 
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
@@ -346,7 +351,7 @@ class SweepingProcess(Displayed):
                 )
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give a "
-            f"u0 with B u0 in C({t:g}), or a load that grows from B u0",
+            f"u0 with B u0 in C({t:g}), or loads and prescribed motions that begin slowly",
             InitialStateWarning,
         )
         return True
@@ -506,6 +511,8 @@ class EvolutionVI(SweepingProcess):
                 remedy = "a friction bound g is so.Box(-g, g)"
                 if name == "cone":
                     remedy = "velocities >= 0 are so.Orthant(n)"
+                elif isinstance(given, type):
+                    remedy = "give one of them, such as so.Box(-g, g)"
                 elif callable(given) or isinstance(given, MovingSet):
                     remedy = (
                         "as C(t) = load - dissipation, take SweepingProcess(A, B, "
@@ -521,6 +528,8 @@ class EvolutionVI(SweepingProcess):
                 "load must be a function of t or one vector; one row a time is "
                 "so.VectorTable(times, rows), histories with their vectors so.Separable(pairs)"
             )
+        if callable(load):
+            takes("load", load, "t")
         self.load = load if callable(load) or load is None else vector("load", load)
         if (size := getattr(self.load, "dim" if callable(load) else "size", None)) is not None:
             sizes["load"] = size

@@ -475,6 +475,7 @@ class Solution(Displayed):
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
         return to_xarray(self)
 
+    @checks.with_checks
     def save(self, path: str | PathLike[str]) -> None:
         """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does."""
         file = writable("path", path)
@@ -570,6 +571,7 @@ class Solution(Displayed):
             cause=run.message.removeprefix(status.value).strip(),
         )
 
+    @checks.with_checks
     def plot(self, ax: Axes | None = None) -> Axes:
         """Components of u_n over time, stick phases shaded (needs the extra "plot").
 

@@ -207,9 +207,13 @@ class Moving(MovingSet):
                 "center and scale, and a function t -> set is so.MovingSet(function)"
             )
         self.shape, self.dim = shape, shape.dim
-        if not callable(center) and center is not None:
+        if callable(center):
+            takes(self.center_name, center, "t")
+        elif center is not None:
             center = Separable([(Constant(), vector("center", center, self.dim))])
-        if not callable(scale) and scale is not None:
+        if callable(scale):
+            takes("scale", scale, "t")
+        elif scale is not None:
             scale = Constant(number("scale", scale, 0.0))
         self.center, self.scale = center, scale
         if isinstance(center, (Separable, VectorTable)) and center.dim != self.dim:

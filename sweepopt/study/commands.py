@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sweepopt.errors import SweepoptWarning
-from sweepopt.io import find_study
+from sweepopt.io import find_study, folder_at
 from sweepopt.results import Solution
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
@@ -36,7 +36,7 @@ def study_command(options: argparse.Namespace) -> None:
     data, parts = read_parts(path)
     table, solutions, files = None, {}, []
     suites: dict[str, list[Any]] = {}
-    folder.mkdir(parents=True, exist_ok=True)
+    folder_at("--out", folder)
     if not parts or data.keys() - {"title"}:
         study = read_study(path)
         executor: Any = nullcontext()
