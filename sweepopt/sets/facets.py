@@ -17,7 +17,6 @@ import scipy.optimize
 from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import RANK, ConvexSet, Form, Halfspaces, NoHalfspacesError, places
-from sweepopt.sets.lifted import Intersection
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope, hull_vertices
 
@@ -66,9 +65,6 @@ def facets(C: ConvexSet) -> Halfspaces:
         with_rows = copy.copy(C)
         with_rows.parts = tuple(Polyhedron(*facets(S).inequalities()) for S in C.parts)
         return with_rows.halfspaces()
-    if isinstance(C, Intersection):
-        G, h = zip(*(facets(S).inequalities() for S in C.operands), strict=True)
-        return Halfspaces.below(np.vstack(G), np.concatenate(h))
     E, F = dense(form.E), dense(form.F)
     N, d, equations, e = facets(product_of(form.parts))
     e = np.append(np.zeros(len(F)), e)
