@@ -311,10 +311,7 @@ class Solution(Displayed):
             ) from None
         step = self.steps[i]
         t, end = self._grid[step : step + 2].tolist()
-        if step == (self.steps[i - 1] + 1 if i else 0):
-            u = self.states.u(i)
-        else:  # the state before it was not kept
-            u = self.states.u(i + 1) - (end - t) * self.states.velocity(i)
+        u = self.states.u(i + 1) - (end - t) * self.states.velocity(i)  # which may not be kept
         tableau = self.plan.scheme
         if self.stats["solver"][step].endswith(BY_EULER):
             tableau = implicit_euler(tableau.euler_steps)
