@@ -135,6 +135,7 @@ def test_norms_that_take_no_solve_are_above_those_that_do(dual):
     assert 0 < (some > 1.001 * solved).sum() < 50
     assert (some[some > 1e-3] <= solved[some > 1e-3] * (1 + 1e-12)).all()
     assert (norm(0 * w, np.ones(50)) == 0).all()
+    assert np.isnan(norm(np.nan * w, np.ones(50))).all()
 
 
 def stiff(n, rate):

@@ -373,7 +373,8 @@ def companion(
         stages = velocities.stages(scheme, time, mu, u[-1], sets=of_step)
         if len(stages) == len(scheme.b):
             mean, slope = combination(scheme.b, stages), stages[-1].z
-            members += [stages[-1].w] * with_points
+            if with_points:
+                members.append(stages[-1].w)
         else:  # a stage has no program
             mean = slope = velocities.step(time, mu, u[-1]).velocity.z
         following, compensation = compensated_sum(u[-1], mu * mean, compensation)
