@@ -991,9 +991,17 @@ def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_arra
     return restricted
 
 
+def _moving_place(body: Discretisation, on: Sequence[str]) -> Place:
+    """Where a force acts on velocities, which are not all held there."""
+    place = body.place("on", on, nodal=body.lumped)
+    if not body.extension[body.nodes[:, np.unique(place.nodes)].ravel()].nnz:
+        raise InputError(f"on: all of {', '.join(on)} is clamped; nothing moves there")
+    return place
+
+
 def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v of the components along a direction, of all degrees of freedom."""
-    place, along = body.place("on", effect.on, nodal=body.lumped), effect.along
+    place, along = _moving_place(body, effect.on), effect.along
     (c,), facets = effect.values_at(place), hasattr(place.basis, "normals")
     known = ["all"]
     if body.components > 1:
@@ -1017,7 +1025,7 @@ def _force(
     body: Discretisation, effect: BodyForce | Traction, data: Any, on: Sequence[str]
 ) -> Force:
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
-    place, (coefficient,) = body.place("on", on, nodal=body.lumped), effect.data
+    place, (coefficient,) = _moving_place(body, on), effect.data
     several = isinstance(data, (list, tuple))
     along_normal = not several and tuple(on) != (BODY,)
     parts = coefficient.parts(data, 1 if along_normal else body.components)
