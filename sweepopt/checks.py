@@ -120,9 +120,9 @@ def from_table(
     if not isinstance(table, Mapping):
         raise InputError(f"{where.rstrip('.')}: must be a table, got {shown(table)}")
     keys = {name: one for name, one in signature(kind).parameters.items() if name not in given}
-    known = ", ".join(keys)
+    known, meant = ", ".join(keys), getattr(kind, "meaning", {})
     faults = [
-        f"{where}{key}: unknown key; there are: {known}{suggestion(key, keys)}"
+        f"{where}{key}: unknown key; there are: {known}{meant.get(key) or suggestion(key, keys)}"
         for key in table
         if key not in keys
     ]

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 def shown(value: object) -> str:
     """What a user passed, as a message can show it."""
     try:
-        return " ".join(f"{value!r:.80}".split())
+        text = " ".join(repr(value).split())
+        return text if len(text) <= 80 else f"{text:.77}..."
     except (ValueError, RecursionError):  # thousands of digits, lists in lists without end
         return f"{type(value).__name__} too long to print"
 
