@@ -367,7 +367,9 @@ def companion(
     few, scheme = plan.process_of(process), plan.scheme
     u, means, slopes, members = [few.u0], [], [], []
     compensation, count = np.zeros(few.dim), len(scheme.c)
-    sets = few.C.at_many((times[:-1, None] + mus[:, None] * np.array(scheme.c)).ravel())
+    at = times[:-1, None] + mus[:, None] * np.array(scheme.c)
+    at[:, -1] = times[1:]  # C may jump at a node, from which rounding takes t + mu
+    sets = few.C.at_many(at.ravel())
     for i, (time, mu) in enumerate(zip(times[:-1].tolist(), mus.tolist(), strict=True)):
         of_step = sets[i * count : (i + 1) * count]
         stages = velocities.stages(scheme, time, mu, u[-1], sets=of_step)
