@@ -1,6 +1,7 @@
 """The bound of a whole trajectory: never below the true error, and close to it."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
 
 import cvxpy as cp
@@ -10,8 +11,9 @@ import scipy.sparse as sp
 from cases import GRIDS, SETS, block, case, random_process, slope, slow
 
 import sweepopt as so
+from sweepopt.integrate import Velocities
 from sweepopt.problem import Norms
-from sweepopt.results.error_bound import _more
+from sweepopt.results.error_bound import _more, companion
 from sweepopt.study.problems import PROBLEMS
 
 CURVED = ("V05", "B14", "M17")
@@ -337,6 +339,18 @@ def test_the_bound_of_composed_and_curved_sets_is_close(name, A):
         bound, error = sol.error_bound(), sizes(process, sol(fine.t) - fine.u).max()
         assert bound.guaranteed
         assert 0.99 * error <= bound <= most * error  # the reference is known to 1 % of the error
+
+
+def test_points_of_programs_are_in_a_set_that_jumps_at_their_node():
+    # -0.4 + (0.05 - -0.4) is below 0.05, where the load jumps
+    t = np.array([-1.0, -0.4, 0.05, 1.0])
+    assert t[1] + (t[2] - t[1]) < t[2]
+    jump = so.Separable([(lambda time: float(time >= t[2]), [2.0, 1.0])])
+    C = so.Moving(COMPOSED["a box cut with a ball"], jump)
+    process = so.SweepingProcess(np.eye(2), np.eye(2), C, np.zeros(2))
+    plan = replace(so.solve(process, steps=t, scheme="implicit-euler").plan, proved=False)
+    points = companion(process, plan, Velocities(process, plan), t, True)[2]
+    assert all(C.at(time).contains(w) for time, w in zip(t[1:], points, strict=True))
 
 
 @pytest.mark.parametrize("A", [1.0, 1e-4, 0.0])

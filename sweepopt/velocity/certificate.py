@@ -56,7 +56,7 @@ class Velocity(NamedTuple):
     iterations, attempts : int
         Of the solver that found it, and how many were asked.
     w : ndarray, shape (dim,), optional
-        The point of C beside it, from some programs that are not proved.
+        The point of C with which the program ended: of path "cones" and where nothing is proved.
     """
 
     z: np.ndarray

@@ -141,7 +141,9 @@ def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[
             motion, length = _motion(rows, phi, u, face)
             active = set(face.active)
             switch |= before is not None and (active != before or (s == a and bool(active)))
-            stalled = s + length == s and active == before
+            again, stalled = stalled, s + length == s and active == before
+            if again and stalled:  # the same face from the same time: so are all that follow
+                return
             before, following = active, s + length
             if b - following <= SAME * abs(b):
                 following = b
