@@ -153,13 +153,11 @@ class Clarabel(Iterative):
         return cls(tol=min(max(0.1 * tol**2, 1e-11), 1e-4))
 
     def compile(self, program: VelocityProgram) -> Solve:
-        """The program in units of its cones, set up once."""
+        """The cone program, set up once."""
         import clarabel
         from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import dims_to_solver_cones
 
         data, linear_map = _canonical(program, "CLARABEL")
-        rows, columns = _units(data["P"], data["A"], data["dims"])
-        A = sp.csc_matrix(sp.diags_array(rows) @ data["A"] @ sp.diags_array(columns))
 
         def set_up(linear: np.ndarray) -> Any:
             settings = clarabel.DefaultSettings()
@@ -171,31 +169,15 @@ class Clarabel(Iterative):
                 for name, value in CAREFUL.items():
                     setattr(settings, name, value)
             cones = dims_to_solver_cones(data["dims"])
-            return clarabel.DefaultSolver(data["P"], linear, A, rows * data["b"], cones, settings)
+            return clarabel.DefaultSolver(
+                data["P"], linear, sp.csc_matrix(data["A"]), data["b"], cones, settings
+            )
 
         def run(engine: Any) -> tuple[Any, int, str]:
             solution = engine.solve()
             return solution.x, solution.iterations, str(solution.status)
 
-        return _updated(program, sp.diags_array(columns) @ linear_map, set_up, run)
-
-
-def _units(P: Any, A: Any, dims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Units of the rows and of the variables in which no cone is larger than another.
-
-    The variables of the quadratic term have theirs already. A cone that they are in gets their
-    unit, and all other variables that of their cones: |p| <= t with p in 1e-10 lets a solver that
-    meets both sides to 1e-9 forget p. Newton's method repairs that up to its size; 800 discs in
-    units from 1e-3 to 1e3 are not met then.
-    """
-    sizes = [*[1] * (dims.zero + dims.nonneg), *dims.soc]
-    sizes += [A.shape[0] - sum(sizes)] * (A.shape[0] > sum(sizes))  # cones of other kinds as one
-    tied, A = np.isin(np.arange(A.shape[1]), sp.coo_array(P).col), abs(sp.csr_array(A))
-    largest = (A @ sp.diags_array(1.0 * tied)).max(axis=1).toarray().ravel()
-    of_cones = np.maximum.reduceat(largest, np.cumsum([0, *sizes[:-1]]))
-    rows = np.repeat(1 / np.where(of_cones > 0, of_cones, 1.0), sizes)
-    free = (sp.diags_array(rows) @ A).max(axis=0).toarray().ravel()
-    return rows, np.where(tied | (free == 0), 1.0, 1 / np.where(free > 0, free, 1.0))
+        return _updated(program, linear_map, set_up, run)
 
 
 def _updated(
