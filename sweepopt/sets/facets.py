@@ -1,7 +1,6 @@
 """The rows of sums, images, products and intersections of polyhedra: polyhedra again.
 
-An intersection has the rows of both sets. C = { E s : s in S, F s = 0 } has those of S where only
-one s belongs to each w. Other images, and sums, are the hulls of their vertices, which add up: the
+C = { E s : s in S, F s = 0 } has the rows of S where only one s belongs to each w. Other images, and sums, are the hulls of their vertices, which add up: the
 facets come from Qhull, in few dimensions.
 """
 
@@ -17,7 +16,6 @@ import scipy.optimize
 from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import RANK, ConvexSet, Form, Halfspaces, NoHalfspacesError, places
-from sweepopt.sets.lifted import Intersection
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope, hull_vertices
 
@@ -35,8 +33,6 @@ class Affine(NamedTuple):
     @classmethod
     def solutions(cls, E: np.ndarray, e: np.ndarray) -> Affine:
         """Those of E w = e."""
-        if not len(E):
-            return cls(np.zeros(E.shape[1]), np.eye(E.shape[1]))
         return cls(np.linalg.lstsq(E, e, rcond=RANK)[0], scipy.linalg.null_space(E, RANK))
 
 
@@ -66,9 +62,6 @@ def facets(C: ConvexSet) -> Halfspaces:
         with_rows = copy.copy(C)
         with_rows.parts = tuple(Polyhedron(*facets(S).inequalities()) for S in C.parts)
         return with_rows.halfspaces()
-    if isinstance(C, Intersection):
-        G, h = zip(*(facets(S).inequalities() for S in C.operands), strict=True)
-        return Halfspaces.below(np.vstack(G), np.concatenate(h))
     E, F = dense(form.E), dense(form.F)
     N, d, equations, e = facets(product_of(form.parts))
     e = np.append(np.zeros(len(F)), e)
