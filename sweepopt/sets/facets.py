@@ -1,7 +1,6 @@
 """The rows of sums, images, products and intersections of polyhedra: polyhedra again.
 
-An intersection has the rows of both sets. C = { E s : s in S, F s = 0 } has those of S where only
-one s belongs to each w. Other images, and sums, are the hulls of their vertices, which add up: the
+C = { E s : s in S, F s = 0 } has the rows of S where only one s belongs to each w. Other images, and sums, are the hulls of their vertices, which add up: the
 facets come from Qhull, in few dimensions.
 """
 
@@ -34,8 +33,6 @@ class Affine(NamedTuple):
     @classmethod
     def solutions(cls, E: np.ndarray, e: np.ndarray) -> Affine:
         """Those of E w = e."""
-        if not len(E):
-            return cls(np.zeros(E.shape[1]), np.eye(E.shape[1]))
         return cls(np.linalg.lstsq(E, e, rcond=RANK)[0], scipy.linalg.null_space(E, RANK))
 
 

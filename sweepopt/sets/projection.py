@@ -367,15 +367,13 @@ def _step_length(gradient: Map, y: np.ndarray, step: np.ndarray, slope: float) -
 def _inverse(rows: bytes, m: int, n: int) -> np.ndarray:
     """K of the rows of E and F, F having m of n entries."""
     E, F = np.split(np.frombuffer(rows).reshape(-1, n), [-m or len(rows)])
-    Z = scipy.linalg.null_space(F, RANK) if m else np.eye(n)
+    Z = scipy.linalg.null_space(F, RANK)
     image = E @ Z
     return np.asarray(Z @ np.linalg.solve(np.eye(Z.shape[1]) + image.T @ image, Z.T))
 
 
 def _shortest(M: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The shortest least-squares solution."""
-    if not M.size:
-        return np.zeros((M.shape[1], *right.shape[1:]))
     return np.asarray(
         scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy", check_finite=False)[0]
     )
