@@ -17,7 +17,9 @@ def offsets(t):
     return np.array([1 + t, 1, 1, 1 + t * t, 1.5])
 
 
+WAVES = so.Separable([(so.Sine(2.0, 1.3), [1.0, -1.0]), (so.Triangle(1.0, 0.9), [0.0, 2.0])])
 FAMILIES = {
+    "data": so.Moving(so.Box([-1, -2], [1, 2]), WAVES),
     "translated": so.Moving(so.Box([-1, -2], [1, 2]), center=lambda t: [np.sin(t), t]),
     "scaled": so.Moving(BALL, scale=lambda t: 1 + t),
     "both": so.Moving(so.Ellipsoid([0, 0], [[2, 1], [1, 2]]), lambda t: [t, 1.0], lambda t: 2 - t),
@@ -59,6 +61,15 @@ OPERATIONS = {
 def test_operations_commute_with_time(operation, C):
     for t in TIMES:
         same(OPERATIONS[operation](C).at(t), OPERATIONS[operation](C.at(t)))
+
+
+@pytest.mark.parametrize("operation", [name for name in OPERATIONS if "&" not in name])
+def test_sums_multiples_images_and_products_of_translates_by_data_are_such(operation):
+    C = OPERATIONS[operation](FAMILIES["data"])
+    process = so.SweepingProcess(
+        np.eye(C.dim), np.eye(C.dim), C, C.at(0.0).project(np.zeros(C.dim))
+    )
+    assert so.solve(process, t_end=1.0, steps=10).error_bound().guaranteed
 
 
 def test_operations_of_two_moving_sets_commute_with_time():

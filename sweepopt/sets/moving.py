@@ -18,7 +18,7 @@ import numpy as np
 from sweepopt.checks import dimension, instant, number, symmetric, takes, vector
 from sweepopt.errors import InputError, result_of, shown
 from sweepopt.linalg import is_semidefinite
-from sweepopt.loads import Constant, Separable, VectorTable
+from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
 from sweepopt.sets.balls import Ball
 from sweepopt.sets.base import ConvexSet, Operators, is_vector, nested
@@ -146,10 +146,11 @@ class MovingSet(Operators):
         return C
 
 
-def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
+def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[..., Any]:
     """The operation, which for sets that move is done at every time.
 
-    Points in their place tell at once whether the operands fit, and the dim of the result.
+    Points in their place tell at once whether the operands fit, and the dim of the result. An
+    operation that is linear in translations is done once where these are data.
     """
 
     @wraps(operation)
@@ -158,6 +159,8 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
             return operation(*operands)
         if any(isinstance(C, StateDependent) for C in operands):
             raise InputError(WITHOUT_STATE)
+        if linear and (translated := _translated(operation, operands)) is not None:
+            return translated
         fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
         points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
         at = partial(_operation_at, operation.__module__, operation.__name__, fixed)
@@ -166,6 +169,22 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
 
     return on_all
+
+
+def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Moving | None:
+    """op(S + c(t)) = op(S) + L c(t), with L c from points; None where another thing moves."""
+    shapes, terms = list(operands), []
+    points = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
+    for k, C in enumerate(operands):
+        if not isinstance(C, MovingSet):
+            continue
+        if not (type(C) is Moving and C.scale is None and isinstance(C.center, Separable)):
+            return None
+        shapes[k] = C.shape
+        for phi, f in C.center.terms:
+            moved = operation(*points[:k], Point(f), *points[k + 1 :])
+            terms.append((phi, moved.anchor - operation(*points).anchor))
+    return Moving(operation(*shapes), Separable(terms))
 
 
 def _operation_at(module: str, name: str, operands: list[Any], t: float) -> ConvexSet:
@@ -209,6 +228,8 @@ class Moving(MovingSet):
         self.shape, self.dim = shape, shape.dim
         if callable(center):
             takes(self.center_name, center, "t")
+            if isinstance(center, History) and self.dim == 1:
+                center = Separable([(center, 1.0)])
         elif center is not None:
             center = Separable([(Constant(), vector("center", center, self.dim))])
         if callable(scale):

@@ -9,6 +9,7 @@ others. Operators of `ConvexSet` call these functions.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
 
 
-@over_time
+@partial(over_time, linear=True)
 def add(C: ConvexSet, other: Any) -> Any:
     """C + v or C + D; the sum with a point is a translation."""
     if is_vector(other):
@@ -59,7 +60,7 @@ def add(C: ConvexSet, other: Any) -> Any:
     return Sum(C, other)
 
 
-@over_time
+@partial(over_time, linear=True)
 def scale(factor: Any, C: ConvexSet) -> ConvexSet:
     """r C for any finite r; 0 C is {0} and asks for a bounded C; where |r| < 1e-75 r is 0."""
     if isinstance(factor, Operators):
@@ -97,7 +98,7 @@ def intersect(C: ConvexSet, D: Any) -> Any:
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
 
 
-@over_time
+@partial(over_time, linear=True)
 def product(*sets: Any) -> Any:
     """C x D x ..., one after the other in the vector; moving sets too.
 
@@ -171,7 +172,7 @@ def _sizes(M: Matrix) -> list[float]:
     return (largest.toarray() if sp.issparse(M) else largest).tolist()
 
 
-@over_time
+@partial(over_time, linear=True)
 def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     """The image as what it is: a point, polytope, cone or ellipsoid, on few unknowns, or more."""
     if M.shape[1] != C.dim:
