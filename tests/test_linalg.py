@@ -232,7 +232,7 @@ def test_constants_are_on_the_guaranteed_side(convert, digits):
             A = Factor(convert(M))
         except InputError:
             continue
-        Lam, beta = largest_ratio(A, convert(N)), A.smallest_eigenvalue()
+        Lam, beta = largest_ratio(A, convert(N)), A.smallest_eigenvalue
         assert beta == 0 or is_exactly_semidefinite((1, M), (-beta, np.eye(n)))
         assert Lam == math.inf or is_exactly_semidefinite((Lam, M), (-1, N))
         if digits == 2:  # and none is far from the eigenvalue
@@ -263,7 +263,7 @@ def test_bounds_of_a_solid_are_proved_and_near_the_eigenvalues(N):
     exact = 3 * ((2 - 2 * cos) / (4 + 2 * cos)).max()
     assert exact <= largest_ratio(factor, B) <= exact * (1 + 2e-6)
     smallest = (4 + 2 * cos).min() ** 3
-    assert smallest * (1 - 2e-6) <= factor.smallest_eigenvalue() <= smallest
+    assert smallest * (1 - 2e-6) <= factor.smallest_eigenvalue <= smallest
     x = factor.solve(B @ angles.repeat(N * N))
     factor.forget()
     assert np.array_equal(factor.solve(B @ angles.repeat(N * N)), x)
@@ -305,7 +305,7 @@ def test_a_matrix_at_the_limit_of_rounding_proves_nothing(convert):
     one = np.ones((6, 6)) + np.diag(np.arange(6.0) * 2e-15)
     one[0, 0] += 4e-15
     assert is_exactly_semidefinite((1, one))
-    assert Factor(convert(one)).smallest_eigenvalue() == 0.0
+    assert Factor(convert(one)).smallest_eigenvalue == 0.0
     assert largest_ratio(Factor(convert(one)), convert(laplacian(6))) == math.inf
 
 

@@ -197,6 +197,28 @@ def test_a_set_without_proof_makes_the_run_uncertified_and_right():
     assert runs["constraints"].u == pytest.approx(runs["ball"].u, abs=1e-6)
 
 
+def test_a_solver_whose_word_alone_counts_is_asked_to_be_careful():
+    import cvxpy as cp
+
+    random = np.random.default_rng(3)
+    root, f = random.normal(size=(4, 4)), so.Separable([(so.Sine(3.0, 4.0), random.normal(size=4))])
+    A = root @ root.T + 0.1 * np.eye(4)
+    ends = []
+    for shape in (so.Constraints(4, lambda w: [cp.norm(w) <= 1]), so.Ball(np.zeros(4), 1.0)):
+        process = so.SweepingProcess(A, A, so.Moving(shape, f), np.zeros(4))
+        ends.append(so.solve(process, t_end=2.0, steps=12).u[-1])
+    assert ends[0] == pytest.approx(ends[1], rel=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_where_a_solver_has_no_answer_the_next_is_asked():
+    A, box = np.array([[2.0, 1.0], [1.0, 3.0]]), so.Box([-4.0, 3.0], [-2.0, 5.0])
+    process = so.SweepingProcess(A, None, box, np.zeros(2))
+    blind = so.Cvxpy("OSQP", {"eps_dual_inf": 1e30})  # calls every program unbounded
+    velocity = so.solve(process, t_end=1.0, steps=1, solver=blind).velocity[0]
+    np.testing.assert_allclose(A @ velocity, [-2.0, 3.0])
+
+
 def test_a_large_polyhedron_is_not_called_certified():
     n = 1100
     G = sp.vstack([sp.eye_array(n), -sp.eye_array(n)], format="csc")

@@ -59,6 +59,13 @@ def test_a_state_that_only_rounding_moves_rests():
     assert sol.stats["certificate"][0] == 0.0
 
 
+def test_a_diagonal_body_past_its_threshold_by_rounding_rests_to_the_last_bit():
+    B, past = np.array([3.0, 7.0]), 1 + np.array([4, 3]) * 2.0**-52
+    box = so.Box([-1.0, -1.0], [1.0, 1.0])
+    process = so.SweepingProcess(np.diag([0.5, 1.0]), np.diag(B), box, past / B)
+    assert not so.solve(process, t_end=1.0, steps=2).velocity.any()
+
+
 @pytest.mark.parametrize("start", ["there", "far"])
 @pytest.mark.parametrize("scheme", ["implicit-euler", "sdirk2"])
 def test_a_body_near_its_equilibrium_is_certified(start, scheme):

@@ -109,7 +109,7 @@ class Factor:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For copies and pickle: the factors are made again."""
-        return partial(Factor, self.M, order=self.order), ()
+        return partial(type(self), self.M, unknowns=self._unknowns, order=self.order), ()
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
@@ -218,15 +218,12 @@ class Factor:
         """Whether its equations are solved by factors, not by conjugate gradients."""
         return self.method == "factors"
 
+    @cached_property
     def smallest_eigenvalue(self) -> float:
         """beta: a number with <Mx, x> >= beta |x|^2, the largest one or a little less.
 
         It is proved by factors of M - beta I (`dominates`): 0, if nothing is.
         """
-        return self._beta
-
-    @cached_property
-    def _beta(self) -> float:
         if self.is_diagonal:
             return float(self.diagonal.min())
         # from above: that of M itself would be lost beside its largest one
@@ -256,9 +253,6 @@ class Elimination(Factor):
     def __init__(self, M: Matrix, unknowns: np.ndarray, order: np.ndarray | None = None) -> None:
         super().__init__(M, unknowns=unknowns, order=order)
         self.unknowns, self.N = unknowns, self._engine.N
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Elimination, (self.M, self.unknowns, self.order)
 
     @cached_property
     def small(self) -> Factor:

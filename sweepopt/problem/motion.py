@@ -335,5 +335,5 @@ def _magnitude(S: ConvexSet, metric: Factor) -> float:
 
 def _in_metric(length: float, metric: Factor) -> float:
     """|w|_{A^-1} at most, for |w| = length: inf where no coercivity is proved."""
-    beta = metric.smallest_eigenvalue()
+    beta = metric.smallest_eigenvalue
     return length / float(np.sqrt(beta)) if beta else (np.inf if length else 0.0)

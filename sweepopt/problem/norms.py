@@ -51,12 +51,12 @@ class Norms:
                 "error bounds need A or B to be positive definite, here both are singular; compare "
                 "with a run of twice the steps"
             )
-        self._metric, self.beta = metric, metric.smallest_eigenvalue()
+        self._metric, self.beta = metric, metric.smallest_eigenvalue
         self.coercivity = 0.0 if self.weak else self.beta
         self.lam, self.Lam = 0.0, 0.0 if self.weak else process.Lam
         if not (self.weak or self._weak is None):
             self.lam = math.nextafter(1 / largest_ratio(self._weak, process.A), 0.0)
-        self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue()
+        self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue
 
     def A(self, x: np.ndarray) -> np.ndarray:
         """|x|_A (of B where A is singular), over the last axis."""

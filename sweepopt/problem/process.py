@@ -219,7 +219,7 @@ class SweepingProcess(Displayed):
     @cached_property
     def beta(self) -> float:
         """The constant of coercivity <Ax, x> >= beta |x|^2; 0 where A is singular."""
-        return self.metric.smallest_eigenvalue() if self.coercive else 0.0
+        return self.metric.smallest_eigenvalue if self.coercive else 0.0
 
     @cached_property
     def Lam(self) -> float:

@@ -164,7 +164,8 @@ class Inclusion:
         product = M.M.dot(z)
         size_z = math.sqrt(max(z.dot(product), 0.0))
         allowed, of_z = SHARE * tol * max(size_z, size or 0.0), 0.0
-        rounding = self.rounding(of, z, euclidean(of.force / M.root))
+        force = euclidean(of.force / M.root)
+        rounding = self.rounding(of, z, force)
         if rounding <= allowed:
             rho = product + of.force - pair.w
         else:
@@ -175,6 +176,7 @@ class Inclusion:
         if residual > allowed:
             residual = min(residual, M.margin * M.dual_norm(rho))
         certificate = math.sqrt(2 * pair.gap + (residual + rounding) ** 2) + pair.perturbation
+        certificate += UNIT * force / M.stretch if certificate else 0.0  # w is rounded
         metric = math.sqrt(1 - of_z)  # |z|_M^2 may be so much larger than that in A + gamma B
         certificate = certificate / metric if metric else math.inf
         if size is None and not certificate <= tol * size_z:

@@ -92,7 +92,7 @@ class Cones:
         rows = blocks(S)
         assert rows is not None
         self._M, self._tol, self._rows, self.S = M, tol, rows, S
-        self._abs, self._transposed = abs(rows.E), sp.csr_array(rows.E.T)
+        self._transposed = sp.csr_array(rows.E.T)
         m, b, _ = rows.local.entries.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
         compliance = compliance.reshape(b, m).mean(axis=0)
@@ -143,23 +143,17 @@ class Cones:
         z = self._plugs(rigid, self._z)
         at = z[self._rows.local.unknowns]
         still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
-        rates = np.where(still, 0.0, self._of(z))
+        rates = np.where(still, 0.0, self._rates(z))
         self.w = w = -(self._transposed @ state.s)
         support = float(g @ lengths(rates))
         gap = max(support - float(np.vdot(self._s, rates)), 0.0) + ROUNDING * support
-        rounding = ROUNDING * (self._abs.T @ np.abs(state.s))
+        rounding = ROUNDING * (abs(self._transposed) @ np.abs(state.s))
         return Proposal(z, w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
-    def _of(self, w: np.ndarray) -> np.ndarray:
-        """E w, a column for each block."""
-        rows: np.ndarray = (self._rows.E @ w).reshape(self._s.shape)
-        return rows
-
     def _rates(self, z: np.ndarray) -> np.ndarray:
-        """E z; what is nothing but rounding is 0."""
-        rates = self._of(z)
-        hidden = 2 * ROUNDING * (self._abs @ np.abs(z)).reshape(rates.shape)
-        return np.where(np.abs(rates) <= hidden, 0.0, rates)
+        """E z, a column for each block."""
+        rates: np.ndarray = (self._rows.E @ z).reshape(self._s.shape)
+        return rates
 
     def _derivative(self, g: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
