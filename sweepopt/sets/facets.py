@@ -1,7 +1,8 @@
 """The rows of sums, images, products and intersections of polyhedra: polyhedra again.
 
-C = { E s : s in S, F s = 0 } has the rows of S where only one s belongs to each w. Other images, and sums, are the hulls of their vertices, which add up: the
-facets come from Qhull, in few dimensions.
+C = { E s : s in S, F s = 0 } has the rows of S where only one s belongs to each w. Other images,
+and sums, are the hulls of their vertices, which add up: the facets come from Qhull, in few
+dimensions.
 """
 
 from __future__ import annotations
