@@ -723,6 +723,21 @@ def test_the_cone_of_one_unknown_is_taken_by_every_solver():
         assert so.solve(process, t_end=1.0, steps=1, solver=solver).status == so.Status.SUCCESS
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_an_image_of_a_polyhedron_has_the_same_points_in_other_units_of_its_unknowns(seed):
+    rng = np.random.default_rng(seed)
+    M, G, h = rng.normal(size=(3, 5)), rng.normal(size=(10, 5)), np.ones(10)
+    units, v = 10.0 ** rng.uniform(-8, 8, 5), 10 * rng.normal(size=3)
+    one, other = (so.image(M * s, so.Polyhedron(G * s, h)) for s in (np.ones(5), units))
+    np.testing.assert_allclose(other.project(v), one.project(v), rtol=0, atol=1e-12)
+
+
+def test_a_sum_keeps_the_translation_of_a_composed_set():
+    C, v = so.Ball(np.zeros(2), 1.0) + so.Box([-1, -1], [1, 1]), np.array([5.0, 3.0])
+    hull = so.Polytope(EYE)
+    assert ((C + v) + hull).support([1.0, 0.0]) == (C + hull).support([1.0, 0.0]) + 5.0
+
+
 def test_images_of_generated_cones_know_their_polar():
     M = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]])
     cone = so.image([[1.0, 1.0]], so.image(M, so.Orthant(3)))
