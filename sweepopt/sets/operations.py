@@ -77,8 +77,6 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
         ends = (C.lower, C.upper) if r > 0 else (C.upper, C.lower)
         return Box(*(r * end for end in ends))  # nothing is divided by r, however small it gets
     if isinstance(C, Similar) and 1 / HUGE <= abs(r * C.factor) <= HUGE:
-        if C.v is None and r * C.factor == 1:
-            return C.parts[0]
         return Similar(C.parts[0], None if C.v is None else r * C.v, r * C.factor)
     return nested(Similar(C, None, r), C)
 
