@@ -79,6 +79,9 @@ def test_another_matrix_is_another_cone():
         (so.Box([0, 0], [1, 1]), so.Box([0, -INF], [1, 1])),
         (UNIT, so.Box([0, 0], [1, 1])),
         (UNIT + [0, 1], UNIT),
+        (so.image([[1, 2], [0, 1], [3, 1]], UNIT), so.image([[1, 2], [0, 1], [3, 2]], UNIT)),
+        (so.image([[1], [0]], so.Box(-1, 1)), so.image([[0], [1]], so.Box(-1, 1))),
+        (so.SecondOrderCone(2), -so.SecondOrderCone(2)),
         (so.Balls([1, 1], 3), so.Balls([1, 1, 1], 2)),
         *itertools.pairwise(so.Constraints(2, lambda w, k=k: [cp.norm(w, k) <= 1]) for k in (1, 2)),
     ]
