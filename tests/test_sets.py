@@ -79,6 +79,9 @@ def test_another_matrix_is_another_cone():
         (so.Box([0, 0], [1, 1]), so.Box([0, -INF], [1, 1])),
         (UNIT, so.Box([0, 0], [1, 1])),
         (UNIT + [0, 1], UNIT),
+        (so.image([[1, 2], [0, 1], [3, 1]], UNIT), so.image([[1, 2], [0, 1], [3, 2]], UNIT)),
+        (so.image([[1], [0]], so.Box(-1, 1)), so.image([[0], [1]], so.Box(-1, 1))),
+        (so.SecondOrderCone(2), -so.SecondOrderCone(2)),
         (so.Balls([1, 1], 3), so.Balls([1, 1, 1], 2)),
         *itertools.pairwise(so.Constraints(2, lambda w, k=k: [cp.norm(w, k) <= 1]) for k in (1, 2)),
     ]
@@ -716,11 +719,35 @@ def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count, full):
     assert found.stats["relative"].max() <= 1e-9
 
 
+def test_a_large_intersection_is_projected_on():
+    E = sp.eye_array(400) + 0.5 * sp.eye_array(400, k=1)
+    C = so.image(E, so.Box(-np.ones(400), np.ones(400))) & so.Ball(np.zeros(400), 12.0)
+    v = 2 * np.random.default_rng(0).normal(size=400)
+    w = C.project(v)
+    assert all(part.contains(w, 1e-12) for part in C.operands)
+    assert C.normal_pair(v - w, w, np.ones(400)).gap == 0.0
+
+
 def test_the_cone_of_one_unknown_is_taken_by_every_solver():
     C = so.Moving(so.image([[1.5]], so.Orthant(1)), center=lambda t: np.array([2 * t]))
     for solver in ("auto", "osqp", "clarabel"):
         process = so.SweepingProcess(2.0, None, C, 0.0)
         assert so.solve(process, t_end=1.0, steps=1, solver=solver).status == so.Status.SUCCESS
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_an_image_of_a_polyhedron_has_the_same_points_in_other_units_of_its_unknowns(seed):
+    rng = np.random.default_rng(seed)
+    M, G, h = rng.normal(size=(3, 5)), rng.normal(size=(10, 5)), np.ones(10)
+    units, v = 10.0 ** rng.uniform(-8, 8, 5), 10 * rng.normal(size=3)
+    one, other = (so.image(M * s, so.Polyhedron(G * s, h)) for s in (np.ones(5), units))
+    np.testing.assert_allclose(other.project(v), one.project(v), rtol=0, atol=1e-12)
+
+
+def test_a_sum_keeps_the_translation_of_a_composed_set():
+    C, v = so.Ball(np.zeros(2), 1.0) + so.Box([-1, -1], [1, 1]), np.array([5.0, 3.0])
+    hull = so.Polytope(EYE)
+    assert ((C + v) + hull).support([1.0, 0.0]) == (C + hull).support([1.0, 0.0]) + 5.0
 
 
 def test_images_of_generated_cones_know_their_polar():

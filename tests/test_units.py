@@ -115,7 +115,10 @@ STATED = {
     "generated": generated,
     "semidefinite": semidefinite,
     "exponential": lambda w, F: [cp.exp(w[0] / F) <= w[1] / F + 1.2, cp.norm(w) <= 2 * F],
-    "power cone": lambda w, F: [cp.PowCone3D(w[1] + F, F, w[0], 0.4), cp.norm(w) <= 2 * F],
+    "power cone": lambda w, F: [
+        cp.PowCone3D(w[1] + F, 1.0, F**-0.6 * w[0], 0.4),
+        cp.norm(w) <= 2 * F,
+    ],
     "parabola": lambda w, F: [cp.sum_squares(w[:2]) <= F * w[2]],
 }
 CONTACT = np.eye(5)[:, [1, 2, 4]]

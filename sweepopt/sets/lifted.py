@@ -9,6 +9,7 @@ features, projection and normal pairs read this form and nothing else.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -219,11 +220,7 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        v = vector("w", w, self.dim)
-        if not self.certifiable or self._blocks is not None:
-            return self._nearest(v).w
-        near = self.near(v)
-        return near.w.copy() if near.exact else self._nearest(v).w
+        return self._nearest(vector("w", w, self.dim)).w
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """Rows are points of curves: each projection starts from the one before."""
@@ -308,15 +305,9 @@ class Lifted(ConvexSet):
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
 
     def _is_empty(self) -> bool:
-        zero = np.zeros(self.dim)
-        try:
-            if self._pair(zero) is not None:
+        with contextlib.suppress(TouchingError):  # or do not meet
+            if self._pair(np.zeros(self.dim)) is not None:
                 return False
-            self.project(zero)
-        except EmptySetError:
-            return True
-        except TouchingError:  # or do not meet
-            pass
         return self._separated()
 
     def _separated(self) -> bool:

@@ -78,8 +78,6 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
         ends = (C.lower, C.upper) if r > 0 else (C.upper, C.lower)
         return Box(*(r * end for end in ends))  # nothing is divided by r, however small it gets
     if isinstance(C, Similar) and 1 / HUGE <= abs(r * C.factor) <= HUGE:
-        if C.v is None and r * C.factor == 1:
-            return C.parts[0]
         return Similar(C.parts[0], None if C.v is None else r * C.v, r * C.factor)
     return nested(Similar(C, None, r), C)
 
@@ -204,16 +202,12 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:
         radius, root = (1.0, C.root) if isinstance(C, Ellipsoid) else (C.radius, np.eye(C.dim))
         return BallImage(M @ C.center, radius, dense(root @ M.T))
-    if isinstance(C, (Box, Polyhedron)):
-        # columns of numbers near 1: their units, powers of two, go to the set
-        units = np.array([binary(size) for size in _sizes(M)])
-        M = M @ sp.diags_array(1 / units)
     if isinstance(C, Polyhedron):
-        C = Polyhedron(C.G @ sp.diags_array(1 / units), C.h)
-    elif isinstance(C, Box):
-        C = Box(units * C.lower, units * C.upper)
-        if not C.offsets.any():  # <p, M s> <= 0 for all s of the cone
-            return GeneratedCone(C.polar().halfspaces().N @ M.T)
+        # columns of numbers near 1: their units, powers of two, go to the set
+        units = sp.diags_array([1 / binary(size) for size in _sizes(M)])
+        M, C = M @ units, Polyhedron(C.G @ units, C.h)
+    elif isinstance(C, Box) and not C.offsets.any():  # <p, M s> <= 0 for all s of the cone
+        return GeneratedCone(C.polar().halfspaces().N @ M.T)
     return Lifted(C.form().image(M))
 
 

@@ -146,7 +146,7 @@ class Splitting:
             scale = sp.diags_array(1 / units)
             self.E, self.F = sp.csr_array(form.E @ scale), sp.csr_array(form.F @ scale)
             inner = sp.eye_array(n) + self.E.T @ self.E
-            system = [[inner, self.F.T], [self.F, None]] if m else [[inner]]
+            system = [[inner, self.F.T], [self.F, None]]
             self._factor = splu(sp.csc_array(sp.block_array(system)))
 
     def K(self, x: np.ndarray) -> np.ndarray:
