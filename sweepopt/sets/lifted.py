@@ -220,7 +220,11 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return self._nearest(vector("w", w, self.dim)).w
+        v = vector("w", w, self.dim)
+        if not self.certifiable or self._blocks is not None or self._pair_of_one(v) is not None:
+            return self._nearest(v).w
+        near = self.near(v)
+        return near.w.copy() if near.exact else self._nearest(v).w
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """Rows are points of curves: each projection starts from the one before."""
