@@ -353,6 +353,16 @@ def test_a_body_that_is_moved_by_data_has_an_exact_trajectory_and_a_bound(moves)
         assert error <= bound <= 3 * error
 
 
+@pytest.mark.parametrize("scheme", ["auto", "exact"])
+def test_a_viscous_body_is_not_moved_beyond_the_end_of_its_table(scheme):
+    # without elasticity only the rate of the table enters
+    moved = PrescribedDisplacement("bottom", so.Table([0.0, 1.0], [0.0, 1.0]))
+    scene = antiplane(square(2), clamped="bottom", effects=[Viscosity(1.0), moved])
+    assert scene.solve(t_end=1.0, steps=5, scheme=scheme).success
+    with pytest.raises(so.InputError, match="outside the table, which covers"):
+        scene.solve(t_end=2.0, steps=5, scheme=scheme)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
     """By the strain; in plane strain by (1 + nu) strain, as nothing gives way along z."""

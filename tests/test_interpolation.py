@@ -33,11 +33,11 @@ HISTORIES = [
 def test_a_history_is_no_further_from_its_polynomial_than_the_bound(history, steps):
     moving = motion(so.Moving(so.Box(-1, 1), so.Separable([(history, [1.0])])))
     _, begin, end = smooth_intervals(moving, np.linspace(0, 1, steps + 1))
-    found = interpolate(moving.center, begin, end)
+    polynomials = interpolate(moving.center, begin, end)
     parts = np.linspace(0, 1, 401)
     for k, (a, b) in enumerate(zip(begin, end, strict=True)):
-        values = found.values[k, :, 0]
+        values = polynomials.values[k, :, 0]
         polynomial = np.polynomial.Polynomial.fit(GAUSS, values, 5, (0, 1), window=(0, 1))
         off = [history(t) for t in (a + (b - a) * parts).tolist()] - polynomial(parts)
-        assert abs(off).max() <= found.error[k, 0] + 1e-14
-        assert abs(np.diff(off)).sum() <= found.slope_error[k, 0] + 1e-12
+        assert abs(off).max() <= polynomials.error[k, 0] + 1e-14
+        assert abs(np.diff(off)).sum() <= polynomials.slope_error[k, 0] + 1e-12

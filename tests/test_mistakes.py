@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cvxpy as cp
 import numpy as np
@@ -113,6 +113,18 @@ def test_an_effect_that_is_registered_as_an_object_is_named(monkeypatch):
     monkeypatch.setitem(so.fem.EFFECTS, "given", Given(None))
     with pytest.raises(so.InputError, match=r"EFFECTS\['given'\] must be a class .*, got G"):
         scene("[effects.given]\n", HELD)
+
+
+def test_an_effect_may_be_a_named_tuple(monkeypatch):
+    class Spring(NamedTuple):
+        k: float
+
+        def contribute(self, body):
+            return matrix_of(body, self.k)
+
+    monkeypatch.setitem(so.fem.EFFECTS, "spring", Spring)
+    given = scene(VISCOUS + "[effects.spring]\nk = 2.0\n", HELD)
+    assert Spring(2.0) in given.effects
 
 
 def test_a_matrix_of_an_effect_may_have_any_sparse_format():

@@ -124,6 +124,8 @@ REFUSED = [
         {"C": so.Moving(INTERVALS + np.ones(40), load(), scale=lambda t: 1 + t)},
         "is scaled is not centred",
     ),
+    # bool(np.poly1d([2.0])) is False
+    ({"C": so.Moving(INTERVALS + np.ones(40), load(), scale=np.poly1d([2.0]))}, "not centred"),
     ({"A": 0 * CHAIN, "u0": np.zeros(40)}, "A is singular"),
     ({"C": so.Moving(so.Box(-np.ones(40), np.ones(40)), load())}, "few unknowns"),
     ({"A": WEAK, "B": RHO * WEAK, "u0": np.zeros(40)}, "too badly conditioned"),

@@ -39,5 +39,7 @@ def test_values_between_and_bad_input():
         f(3.0)
     with pytest.raises(so.InputError, match="give one each"):
         so.VectorTable(TIMES, VALUES[1:])
+    with pytest.raises(so.InputError, match="no scalar rate"):
+        f.rate()
     with pytest.raises(so.InputError, match="center must have 2 entries, got 3"):
         so.Moving(so.Box([0, 0], [1, 1]), f)

@@ -91,13 +91,13 @@ class Yield(Brief):
 
     def check(self) -> None:
         """Refuse numbers that do not belong to these rows; a user may have written them."""
-        E, block, weight, where = vars(self.rows).values()
-        choice("rows.where", where, ("trace", "nodes", "gradient", "internal"))
-        blocks, rest = divmod(E.shape[0], count("rows.block", block))
+        rows = self.rows
+        choice("rows.where", rows.where, ("trace", "nodes", "gradient", "internal"))
+        blocks, rest = divmod(rows.E.shape[0], count("rows.block", rows.block))
         if rest:
-            raise InputError(f"rows.E has {E.shape[0]} rows, which are no blocks of {block}")
+            raise InputError(f"rows.E has {rows.E.shape[0]} rows, no blocks of {rows.block}")
         g = self.g(0.0) if callable(self.g) else self.g
-        for name, given in (("g", g), ("rows.weight", weight)):
+        for name, given in (("g", g), ("rows.weight", rows.weight)):
             values = vector(name, given, blocks if np.ndim(given) else None, finite=False)
             if (values < 0).any():
                 raise InputError(f"{name} must be >= 0, got {values.min():g}")

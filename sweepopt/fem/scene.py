@@ -39,7 +39,7 @@ from sweepopt.fem.initial import Initial
 from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.fem.stress import plastic_strain_of, stress_of
 from sweepopt.integrate import schemes
-from sweepopt.io import as_path
+from sweepopt.io import as_path, folder_at
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
@@ -237,8 +237,7 @@ class Scene(Displayed):
         """
         from sweepopt.fem import output, pictures
 
-        folder = as_path("folder", folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = folder_at("folder", as_path("folder", folder))
         drawn = [f"{name}.png" for name in pictures.pictures_of(self)]
         pictures.write(output.Report(self, solution, name=folder.name), folder, drawn)
         return folder

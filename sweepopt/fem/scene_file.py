@@ -252,7 +252,7 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
                 f"{suggestion(name, EFFECTS) or own}"
             )
         kind = EFFECTS[name]
-        if not callable(kind) or (table and getattr(kind, "__init__", None) is object.__init__):
+        if not callable(kind) or (table and not signature(kind).parameters):
             raise InputError(
                 f"{path}: EFFECTS[{name!r}] must be a class whose fields are the keys, with "
                 f"@dataclass(frozen=True) above it, got {shown(kind)}"

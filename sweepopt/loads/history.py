@@ -362,4 +362,4 @@ class Triangle(_Periodic):
     def slope(self, t: Any) -> Any:
         """phi' at times that are no breakpoints."""
         falls = (4.0 * (t / self.period) - 1.0) % 4.0 < 2.0
-        return self.amplitude * (1.0 - 2.0 * falls) * (4.0 / self.period)
+        return self.amplitude * (4.0 - 8.0 * falls) / self.period

@@ -105,7 +105,7 @@ class Table(Brief, History):
 
     def slope(self, t: Any) -> Any:
         """phi' at times that are no breakpoints."""
-        k = np.clip(np.searchsorted(self.times, t) - 1, 0, self.times.size - 2)
+        k = np.clip(np.searchsorted(self.times, self._inside(t)) - 1, 0, self.times.size - 2)
         return (np.diff(self.values) / np.diff(self.times))[k]
 
     def check_run(self, start: float, end: float) -> None:
@@ -183,6 +183,10 @@ class VectorTable(Table):
         a, b = interval(a, b)
         values = self(np.concatenate([[a], self.breakpoints(a, b), [b]]))
         return float(sum(map(norm or np.linalg.norm, np.diff(values, axis=0))))
+
+    def rate(self) -> History:
+        """None, as `piece`."""
+        raise InputError("a VectorTable has no scalar rate; give it as center or load")
 
     def piece(self, a: float, b: float) -> Piece:
         """None: it is no scalar history.

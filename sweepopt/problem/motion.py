@@ -182,7 +182,7 @@ def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
 
 BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
 CONTINUOUS = (Constant, Polynomial, Sine, Triangle, Slope)
-"""Histories without jumps; those of the velocity of a motion that is prescribed are none of it."""
+"""Histories whose jumps are no mistake: a motion that is prescribed may change its velocity."""
 Distance = Callable[[np.ndarray], float]
 
 

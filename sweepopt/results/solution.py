@@ -579,6 +579,7 @@ class Solution(Displayed):
 
         return plot_solution(self, ax)
 
+    @checks.with_checks
     def animate(self, path: str | Path = "solution.gif") -> Path:
         """Write `plot` as an animation in which the time, u, the force and C(t) move.
 

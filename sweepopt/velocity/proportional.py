@@ -197,8 +197,8 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
         "the load is a function of time, not a Separable of few shapes": (
             moving.center.function is not None
         ),
-        "the set that is scaled is not centred": bool(
-            scale and selection and selection.shift is not None
+        "the set that is scaled is not centred": (
+            scale is not None and selection is not None and selection.shift is not None
         ),
     }
     for reason, applies in lacks.items():
