@@ -192,8 +192,15 @@ class Lifted(ConvexSet):
         rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
         return bool(p @ way > distance * np.linalg.norm(p) + rounding)
 
+    def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
+        """That of one of the sets that C is made of, if it is C's too."""
+        return None
+
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         """The projection of v and its normal, exact to rounding; None if they are not found."""
+        pair = self._pair_of_one(v)
+        if pair is not None:
+            return pair
         near = self.near(v) if self.certifiable else None
         if near is None or not near.exact:
             return None
@@ -234,6 +241,10 @@ class Lifted(ConvexSet):
             return super().project_rows(rows)
         start, points = None, []
         for v in rows:
+            pair = self._pair_of_one(v)
+            if pair is not None:
+                points.append(pair.w)
+                continue
             near = self._projection(v, start)
             start = near.start if near.exact else None
             points.append(near.w if near.exact else self.project(v))
@@ -361,6 +372,16 @@ class Intersection(Lifted):
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
         self.operands = first, second
         super().__init__(Form.common(first.form(), second.form()))
+
+    def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
+        # where its point lies in the other set: exact from any v. Without it steps on a ball cut by
+        # a box take 1.4 to 2.5 times as long
+        if all(C.exact for C in self.operands):
+            for part, other in (self.operands, self.operands[::-1]):
+                w = part.project(v)
+                if not other.normal(w).any():
+                    return NormalPair(part.normal(v), w, 0.0, _rounded(v))
+        return None
 
     def magnitude(self) -> float:
         return min(C.magnitude() for C in self.operands)
