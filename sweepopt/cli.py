@@ -240,7 +240,9 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
         f"{report.seconds:.3g} s of computing",
         "max displacement": f"{largest(report)['value']:.4g}{meter}",
         "slip": sliding,
-        "energy": f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
+        "energy": ""
+        if report.scene.lifts  # those of what is held are not known
+        else f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
         f"+ viscous {energy.viscous[-1]:.4g} + friction {energy.friction[-1]:.4g}, "
         f"balance {energy.balance[-1]:.1e}{joule}",
         "worst certificate": f"{solution.stats['relative'].max():.1e} (relative)",

@@ -55,6 +55,9 @@ class Rows(Brief):
     weight: Array
     where: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "E", sp.csr_array(self.E))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Yield(Brief):
@@ -92,6 +95,7 @@ class Yield(Brief):
     def check(self) -> None:
         """Refuse numbers that do not belong to these rows; a user may have written them."""
         rows = self.rows
+        choice("shape", self.shape, ("ball", "half-line"))
         choice("rows.where", rows.where, ("trace", "nodes", "gradient", "internal"))
         blocks, rest = divmod(rows.E.shape[0], count("rows.block", rows.block))
         if rest:

@@ -674,6 +674,7 @@ class PrescribedDisplacement(Record):
             full[dofs[place.nodes.T]] = place.values(coefficient, datum)
         T = body.frame.T
         along = T.T @ full
+        moves = np.abs(along) > 1e-12 * np.abs(along).max()
         along[body.free] = 0.0
         if not full.any():
             return Contribution()
@@ -681,6 +682,13 @@ class PrescribedDisplacement(Record):
             raise InputError(
                 f"on: nothing is held on {', '.join(self.on)} along d; clamp or hold it"
             )
+        for dofs in body.nodes[:, np.unique(place.nodes)]:
+            held, moved = (along[dofs] != 0).sum(), moves[dofs].sum()
+            if 0 < held < moved:
+                raise InputError(
+                    f"on: {held} of {moved} nodes of {', '.join(self.on)} are held along d; clamp "
+                    "or hold all of it"
+                )
         return Contribution(lift=(self.history, np.asarray(T @ along)))
 
 
@@ -991,17 +999,17 @@ def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_arra
     return restricted
 
 
-def _moving_place(body: Discretisation, on: Sequence[str]) -> Place:
-    """Where a force acts on velocities, which are not all held there."""
-    place = body.place("on", on, nodal=body.lumped)
-    if not body.extension[body.nodes[:, np.unique(place.nodes)].ravel()].nnz:
-        raise InputError(f"on: all of {', '.join(on)} is clamped; nothing moves there")
-    return place
+def _acting(body: Discretisation, on: Sequence[str], x: Any) -> Any:
+    """A matrix or a vector of all degrees of freedom, which acts on some that are not held."""
+    size = abs(x).sum()
+    if size and abs(body.restrict(x)).sum() <= 1e-12 * size:
+        raise InputError(f"on: all of {', '.join(on)} is clamped or held; nothing moves there")
+    return x
 
 
 def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v of the components along a direction, of all degrees of freedom."""
-    place, along = _moving_place(body, effect.on), effect.along
+    place, along = body.place("on", effect.on, nodal=body.lumped), effect.along
     (c,), facets = effect.values_at(place), hasattr(place.basis, "normals")
     known = ["all"]
     if body.components > 1:
@@ -1018,14 +1026,14 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
         normal = dot(u, w.n) * dot(v, w.n)
         return c * (normal if along == "n" else dot(u, v) - normal)
 
-    return place.matrix(form)
+    return _acting(body, effect.on, place.matrix(form))
 
 
 def _force(
     body: Discretisation, effect: BodyForce | Traction, data: Any, on: Sequence[str]
 ) -> Force:
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
-    place, (coefficient,) = _moving_place(body, on), effect.data
+    place, (coefficient,) = body.place("on", on, nodal=body.lumped), effect.data
     several = isinstance(data, (list, tuple))
     along_normal = not several and tuple(on) != (BODY,)
     parts = coefficient.parts(data, 1 if along_normal else body.components)
@@ -1039,6 +1047,6 @@ def _force(
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(body.restrict(place.vector(form)))
+        return np.asarray(body.restrict(_acting(body, on, place.vector(form))))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

@@ -130,7 +130,9 @@ class Formula:
         try:
             self.tree = ast.parse(text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise InputError(f"must be a number or a formula, got {shown(text)}") from error
+            raise InputError(
+                f"must be a number or a formula such as 1 + 2*x**2, got {shown(text)}"
+            ) from error
         self.names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         unknown = self.names - {*DIRECTIONS, *FUNCTIONS, "t", "pi"}
         if unknown:

@@ -367,6 +367,9 @@ def body(
     >>> scene.discretisation.dim, len(scene.contact)
     (30, 15)
     """
+    if not isinstance(space, Discretisation):
+        remedy = "a mesh is made one by so.fem.Discretisation(mesh, clamped)"
+        raise InputError(f"space must be a Discretisation, got {shown(space)}; {remedy}")
     labelled = {f"effects[{k}]": effect for k, effect in enumerate(listed("effects", effects))}
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)

@@ -81,7 +81,7 @@ class History:
 
     def slope(self, t: Any) -> Any:
         """phi' at times that are no breakpoints."""
-        raise NotImplementedError
+        raise InputError(f"the rate of {shown(self)} is not known; give a Table, Sine or Triangle")
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ class Table(Brief, History):
     def slope(self, t: Any) -> Any:
         """phi' at times that are no breakpoints."""
         k = np.clip(np.searchsorted(self.times, self._inside(t)) - 1, 0, self.times.size - 2)
-        return (np.diff(self.values) / np.diff(self.times))[k]
+        return (self.values[k + 1] - self.values[k]) / (self.times[k + 1] - self.times[k])
 
     def check_run(self, start: float, end: float) -> None:
         """Refuse a run that goes on where the table says nothing."""

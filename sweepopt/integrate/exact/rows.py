@@ -161,7 +161,7 @@ def rows_of(process: SweepingProcess) -> Rows:
         raise InputError(
             f"the process has {process.dim} unknowns in its steps, more than {UNKNOWNS}. A body "
             "whose B is a multiple of A and whose set acts on few unknowns needs these alone; for "
-            "others use midpoint or sdirk2"
+            "others use auto"
         )
     N, terms, count = _halfspaces(motion(process.C))
     metric = dense(process.metric.M)
@@ -175,8 +175,7 @@ def rows_of(process: SweepingProcess) -> Rows:
     nonsmooth = process.dim - int(equations.sum())
     if nonsmooth > NONSMOOTH:
         raise InputError(
-            f"the process has {nonsmooth} nonsmooth unknowns, more than {NONSMOOTH}; use midpoint "
-            "or sdirk2"
+            f"the process has {nonsmooth} nonsmooth unknowns, more than {NONSMOOTH}; use auto"
         )
     histories, still = [phi for phi, _ in terms], process.rate_independent
     lam, NB = 0.0 if still else process.Lam, N @ B
@@ -196,7 +195,7 @@ def _halfspaces(moving: Motion) -> tuple[np.ndarray, Terms, int]:
         N, d, E, e = facets(moving.shape)
     except NoHalfspacesError as error:
         raise InputError(
-            f"the process has a set that is not a polyhedron with known rows: {error}; use midpoint"
+            f"the process has a set that is not a polyhedron with known rows: {error}; use auto"
         ) from error
     # the first row, 0 <= scale(t), has no solution where the scale is negative
     N = np.vstack([np.zeros(N.shape[1]), dense(N), E])
