@@ -272,7 +272,8 @@ class Coefficient(NamedTuple):
         moves = in_time(datum)
         if moves and t is None:
             raise InputError(
-                f"{self.name} does not move here; leave out t, or give an effect with a history"
+                f"{self.name} does not move here; leave out t (a function takes the points alone, "
+                "lambda x: 1 + x[0]), or give an effect with a history"
             )
         function: Any = parsed(datum) if isinstance(datum, str) else datum
         try:

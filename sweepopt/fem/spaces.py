@@ -317,6 +317,7 @@ class Discretisation(Brief):
         for name in names:
             if name not in boundaries:
                 known = ", ".join(sorted(boundaries)) or "none (give the mesh physical groups)"
+                known += "; nothing is clamped by clamped = []" * (name == "clamped")
                 raise InputError(
                     f"{what}: {name!r} is not a boundary of the mesh; there are: {known}"
                 )

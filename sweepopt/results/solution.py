@@ -553,7 +553,7 @@ class Solution(Displayed):
             if differ := differences(json.loads(run.problem), given, run.time.values):
                 warn(
                     f"{', '.join(differ)} of process and of the run in {path} are not the same to "
-                    "the last bit; bounds and viability hold for the run's own process",
+                    "the last bit; bounds and viability are those of the process that is given",
                     CheckpointWarning,
                 )
             plan = make_plan(process, process.check(run.time.values), scheme, "auto", run.tol)
