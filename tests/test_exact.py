@@ -230,6 +230,7 @@ COMPOSED = {
     "image": so.image([[2.0, 0.3], [0.1, 0.4]], HEXAGON & so.Box([-1, -1.3], [1.2, 1])),
     "part": so.product(HEXAGON, so.Box(-1, 2)) & so.HalfSpace([1.0, 1.0, 1.0], 2.0),
     "few": so.image([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]], -0.7 * HEXAGON),
+    "flat": so.Polyhedron([[1, 1], [-1, -1], [1, 0], [-1, 0]], [0, 0, 1, 1]) + 0.5 * BOX,
 }
 SHRINKING = so.Table([0, 1, 1.5, 2, 3], [1.2, 0.2, 0.0, 0.0, 1])
 
