@@ -105,6 +105,8 @@ def _parser() -> argparse.ArgumentParser:
     ):
         words = f"write an animation too, as {words}"
         run.add_argument(flag, dest="animate", action="store_const", const=kind, help=words)
+    words = "bound the error of the whole run too, in the norm of A: takes longer than the run"
+    run.add_argument("--bound", action="store_true", help=words)
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
 
     effects = commands.add_parser("effects", help="what each effect of a scene costs")
@@ -203,6 +205,8 @@ def _run(options: argparse.Namespace) -> int:
             folder, code = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), INCOMPLETE
             files = pictures.write(report, folder, drawn)
         _conclude(report, folder, files)
+        if options.bound:
+            print(as_lines([("error bound", repr(solution.error_bound()))]))
     else:
         _say(f"no step was completed, nothing is written. {solution.message}")
     return INTERRUPTED if solution.status is Status.INTERRUPTED else code

@@ -144,6 +144,15 @@ def test_a_second_run_replaces_the_first_whole(scene):
 
 
 @pytest.mark.usefixtures("scene")
+def test_the_error_bound_of_a_run_is_printed_on_request(capsys):
+    assert run("--steps", "20", "--bound") == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    name, bound = last.removesuffix("(guaranteed)").rsplit(maxsplit=1)
+    assert name == "error bound"
+    assert 0 < float(bound) < 1
+
+
+@pytest.mark.usefixtures("scene")
 def test_an_animation_is_written_on_request_and_refused_before_the_run(monkeypatch, capsys):
     monkeypatch.setattr(plot, "MOST_FRAMES", 5)
     assert run("--steps", "3", "--animate") == 0
