@@ -47,10 +47,8 @@ def public(thing: Any) -> Any:
     Classes are changed in place, functions in their modules, so that they can be pickled.
     """
     if isinstance(thing, type):
-        names = {"__new__", "__init__", "save", "plot", "animate", "write"}
-        for name in names & vars(thing).keys():
-            owner = thing if name.startswith("__") else None
-            setattr(thing, name, with_checks(getattr(thing, name), owner))
+        for name in vars(thing).keys() & {"__new__", "__init__"}:
+            setattr(thing, name, with_checks(getattr(thing, name), thing))
     elif callable(thing):
         thing = with_checks(thing)
         setattr(sys.modules[thing.__module__], thing.__name__, thing)

@@ -85,6 +85,8 @@ class Kinematics(NamedTuple):
 
 Stress = Callable[[Kinematics], Array]
 Moduli = Callable[[Discretisation, Place], tuple[Any, Any]]
+TURNED = 1e-12
+"""Share of a vector: components along normals and tangents that are less are rounding of these."""
 
 
 class Effect(Protocol):
@@ -372,7 +374,7 @@ class Dashpot(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=body.restrict(_mass(body, self)))
+        return Contribution(A=_restricted(body, self.on, _mass(body, self)))
 
 
 @dataclass(frozen=True)
@@ -419,7 +421,7 @@ class Foundation(Record):
                     f"along must be x, y or z where `moved` is, got {shown(self.along)}"
                 )
             loads = [(self.moved, body.restrict(B @ self.shift(body)))]
-        return Contribution(B=body.restrict(B), loads=loads)
+        return Contribution(B=_restricted(body, self.on, B), loads=loads)
 
     def shift(self, body: Discretisation) -> Array:
         """All degrees of freedom where the whole body moves by 1 along the direction."""
@@ -674,7 +676,7 @@ class PrescribedDisplacement(Record):
             full[dofs[place.nodes.T]] = place.values(coefficient, datum)
         T = body.frame.T
         along = T.T @ full
-        moves = np.abs(along) > 1e-12 * np.abs(along).max()
+        given = np.abs(along) > TURNED * np.abs(along).max()
         along[body.free] = 0.0
         if not full.any():
             return Contribution()
@@ -683,10 +685,10 @@ class PrescribedDisplacement(Record):
                 f"on: nothing is held on {', '.join(self.on)} along d; clamp or hold it"
             )
         for dofs in body.nodes[:, np.unique(place.nodes)]:
-            held, moved = (along[dofs] != 0).sum(), moves[dofs].sum()
-            if 0 < held < moved:
+            some, every = (along[dofs] != 0).sum(), given[dofs].sum()
+            if 0 < some < every:
                 raise InputError(
-                    f"on: {held} of {moved} nodes of {', '.join(self.on)} are held along d; clamp "
+                    f"on: {some} of {every} nodes of {', '.join(self.on)} are held along d; clamp "
                     "or hold all of it"
                 )
         return Contribution(lift=(self.history, np.asarray(T @ along)))
@@ -999,12 +1001,12 @@ def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_arra
     return restricted
 
 
-def _acting(body: Discretisation, on: Sequence[str], x: Any) -> Any:
-    """A matrix or a vector of all degrees of freedom, which acts on some that are not held."""
-    size = abs(x).sum()
-    if size and abs(body.restrict(x)).sum() <= 1e-12 * size:
+def _restricted(body: Discretisation, on: Sequence[str], x: Any) -> Any:
+    """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
+    restricted, size = body.restrict(x), abs(x).sum()
+    if size and abs(restricted).sum() <= TURNED * size:
         raise InputError(f"on: all of {', '.join(on)} is clamped or held; nothing moves there")
-    return x
+    return restricted
 
 
 def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
@@ -1026,7 +1028,7 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
         normal = dot(u, w.n) * dot(v, w.n)
         return c * (normal if along == "n" else dot(u, v) - normal)
 
-    return _acting(body, effect.on, place.matrix(form))
+    return place.matrix(form)
 
 
 def _force(
@@ -1047,6 +1049,6 @@ def _force(
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(body.restrict(_acting(body, on, place.vector(form))))
+        return np.asarray(_restricted(body, on, place.vector(form)))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

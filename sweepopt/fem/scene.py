@@ -23,6 +23,7 @@ from sweepopt.checks import (
     symmetric,
     tolerance,
     vector,
+    with_checks,
 )
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, result_of, shown
@@ -208,6 +209,7 @@ class Scene(Displayed):
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}
         return solve(self.problem, **(settings | changes))
 
+    @with_checks
     def plot(self, solution: Solution, picture: str = "") -> Any:
         """A picture of a run, one of PICTURES; by default the first of those of `sweepopt run`.
 
@@ -227,6 +229,7 @@ class Scene(Displayed):
             raise InputError(f"picture: none fits the scene of itself; name one of {PICTURES}")
         return pictures.draw(output.Report(self, solution), names[0])
 
+    @with_checks
     def write(self, solution: Solution, folder: str | Path) -> Path:
         """Write what `sweepopt run` writes: pictures, NetCDF, VTU and a summary; the folder.
 
@@ -242,6 +245,7 @@ class Scene(Displayed):
         pictures.write(output.Report(self, solution, name=folder.name), folder, drawn)
         return folder
 
+    @with_checks
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
         """Write a run as an animation of 50 even times, or at most 50 kept ones if not all were.
 

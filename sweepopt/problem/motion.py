@@ -181,8 +181,9 @@ def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
 # ---- how far it moves ---------------------------------------------------------------------------
 
 BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
-CONTINUOUS = (Constant, Polynomial, Sine, Triangle, Slope)
-"""Histories whose jumps are no mistake: a motion that is prescribed may change its velocity."""
+EXEMPT = (Constant, Polynomial, Sine, Triangle, Slope)
+"""Histories of whose jumps nobody is warned: only `Slope` has some, where the velocity of a
+prescribed motion changes."""
 Distance = Callable[[np.ndarray], float]
 
 
@@ -264,7 +265,7 @@ def _discontinuities(
     may_jump = [
         phi
         for phi in histories
-        if not isinstance(phi, CONTINUOUS)
+        if not isinstance(phi, EXEMPT)
         and not (isinstance(phi, Table) and np.diff(phi.times).min() > width)
     ]
 

@@ -175,6 +175,7 @@ def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Movin
     """op(S + c(t)) = op(S) + L c(t), with L c from points; None where another thing moves."""
     shapes, terms = list(operands), []
     points = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
+    origin = operation(*points).anchor  # not 0 where a vector is added
     for k, C in enumerate(operands):
         if not isinstance(C, MovingSet):
             continue
@@ -182,8 +183,8 @@ def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Movin
             return None
         shapes[k] = C.shape
         for phi, f in C.center.terms:
-            moved = operation(*points[:k], Point(f), *points[k + 1 :])
-            terms.append((phi, moved.anchor - operation(*points).anchor))
+            image = operation(*points[:k], Point(f), *points[k + 1 :])
+            terms.append((phi, image.anchor - origin))
     return Moving(operation(*shapes), Separable(terms))
 
 
