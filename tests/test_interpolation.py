@@ -37,7 +37,7 @@ def test_a_history_is_no_further_from_its_polynomial_than_the_bound(history, ste
     parts = np.linspace(0, 1, 401)
     for k, (a, b) in enumerate(zip(begin, end, strict=True)):
         values = polynomials.values[k, :, 0]
-        polynomial = np.polynomial.Polynomial.fit(GAUSS, values, 5, (0, 1), window=(0, 1))
+        polynomial = np.polynomial.Polynomial.fit(GAUSS, values, 3, (0, 1), window=(0, 1))
         off = [history(t) for t in (a + (b - a) * parts).tolist()] - polynomial(parts)
         assert abs(off).max() <= polynomials.error[k, 0] + 1e-14
         assert abs(np.diff(off)).sum() <= polynomials.slope_error[k, 0] + 1e-12

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -70,11 +70,19 @@ class Norms:
 
     def dual(self, w: np.ndarray, beside: Any = 0.0) -> np.ndarray:
         """|w|_{A^-1} over the last axis; where it is NEGLIGIBLE beside a number, a bound of it."""
-        return _dual(self._metric, self.beta, w, beside)
+        return _norm(self.dual_products(w[..., None, :], beside))
 
     def dual_B(self, w: np.ndarray, beside: Any = 0.0) -> np.ndarray:
         """|w|_{B^-1} over the last axis, likewise; infinite where B has no inverse."""
-        return _dual(self._weak, self.beta_B, w, beside)
+        return _norm(self.dual_products_B(w[..., None, :], beside))
+
+    def dual_products(self, w: np.ndarray, beside: Any) -> Products:
+        """<w_j, A^-1 w_k> of the rows of each w, shape (..., k, dim)."""
+        return _products(self._metric, self.beta, w, beside)
+
+    def dual_products_B(self, w: np.ndarray, beside: Any) -> Products:
+        """<w_j, B^-1 w_k>, likewise; infinite where B has no inverse."""
+        return _products(self._weak, self.beta_B, w, beside)
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""
@@ -85,16 +93,51 @@ class Norms:
             return np.minimum(np.exp(nu * tau), 1 + np.sqrt(0.5 * self.Lam * tau))
 
 
-def _dual(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) -> np.ndarray:
-    size = np.asarray(np.abs(w).max(axis=-1))
-    scale = math.sqrt(w.shape[-1] / beta) if beta else math.inf
+class Products(NamedTuple):
+    """Products of vectors w_1 ... w_k in a dual norm, for many such families.
+
+    Attributes
+    ----------
+    products : ndarray, shape (..., k, k)
+        0 for vectors that are negligible beside a given number or the largest of the family.
+    rest : ndarray, shape (..., k)
+        Bounds of the norms of these, which take no solve; 0 for the others.
+    """
+
+    products: np.ndarray
+    rest: np.ndarray
+
+    def of_sum(self, weights: np.ndarray) -> np.ndarray:
+        """A bound of sqrt(sum_i |sum_k weights_ik w_k|^2)."""
+        squared = ((weights.T @ weights) * self.products).sum(axis=(-2, -1))
+        rest: np.ndarray = self.rest @ np.linalg.norm(weights, axis=0)
+        return np.sqrt(np.maximum(squared, 0.0)) + rest
+
+
+def _norm(of_one: Products) -> np.ndarray:
+    return of_one.of_sum(np.eye(1))
+
+
+def _products(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) -> Products:
+    family = w.reshape(-1, *w.shape[-2:])
+    size = np.linalg.norm(family, axis=-1)
+    scale = 1 / math.sqrt(beta) if beta else math.inf
     with np.errstate(invalid="ignore"):
-        size = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
-    rows = w[solved := size > NEGLIGIBLE * np.asarray(beside)]
-    if metric is not None and len(rows):
-        squared = (rows * metric.solve_many(rows)).sum(axis=1)
-        size[solved] = np.sqrt(np.maximum(squared, 0.0))
-    return size
+        rest = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
+    known = np.array(np.broadcast_to(beside, w.shape[:-2]), dtype=float).ravel()
+    solved = np.zeros_like(family)
+    for k in np.argsort(-rest, axis=1).T if metric is not None else ():
+        i = np.flatnonzero(rest[np.arange(len(k)), k] > NEGLIGIBLE * known)
+        if not len(i):
+            break
+        at = i, k[i]
+        solved[at], rest[at] = metric.solve_many(family[at]), 0.0
+        squared = (family[at] * solved[at]).sum(axis=1)
+        known[i] = np.maximum(known[i], np.sqrt(np.maximum(squared, 0.0)))
+    counted = np.where((rest == 0)[:, :, None], family, 0.0)
+    products = counted @ np.swapaxes(solved, 1, 2)
+    shape = w.shape[:-1]
+    return Products(products.reshape(*shape, shape[-1]), rest.reshape(shape))
 
 
 def applied(M: Any, x: np.ndarray) -> np.ndarray:

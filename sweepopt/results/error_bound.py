@@ -63,7 +63,7 @@ from sweepopt.integrate import (
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
 from sweepopt.problem import Norms, SweepingProcess, motion
-from sweepopt.results.interpolation import Nodes, slopes_of_curves
+from sweepopt.results.interpolation import CURVES, Nodes, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.sets import Polyhedron
 from sweepopt.velocity import Plan
@@ -163,7 +163,7 @@ def error_bound(
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
-    best = slice(0, 1) if stiff else slice(1, 2)  # straight, or with the velocities at the nodes
+    best = "straight" if stiff else "velocities"
     share, one_curve, by_points = _methods(process, plan)
     work = math.ceil(share * WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b))
     tol = plan.tol if plan.cones else min(plan.tol, TOL)
@@ -174,34 +174,32 @@ def error_bound(
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
+    ends = norms.A(run.u)
     largest, lower = _largest_state(process, norms, float(run.t[0]), float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
         work -= len(t) - 1
         nodes, slopes, members = companion(process, plan, velocities, t, by_points)
         # of unbounded sets all, as velocities of a cubic may have no support function
-        chosen = best if one_curve and largest < math.inf else slice(3)
+        chosen = [best] if one_curve and largest < math.inf else CURVES
         curves = slopes_of_curves(nodes, slopes, chosen)
         each, reason = residuals(process, norms, nodes, curves, variation, members)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = curves[growth.curve, np.arange(len(t) - 1)]
-        difference = _difference(nodes, v, states)
-        sizes = norms.A(difference)
-        distance = sizes.max(axis=1)
-        rounding = SUMMED * math.sqrt(len(t)) * norms.A(nodes.u).max()
+        nodal, distance = _distance(norms.A, nodes, v, states)
+        rounding = SUMMED * math.sqrt(len(t)) * (ends.max() + nodal.max())
         first = np.searchsorted(t, run.t[:-1])
         A = np.fmin(A, np.maximum.reduceat(distance + growth.A, first) + rounding)
-        distance_B = norms.B(difference).max(axis=1)
+        _, distance_B = _distance(norms.B, nodes, v, states)
         B = np.fmin(B, np.maximum.reduceat(distance_B + growth.B, first) + rounding)
-        below = sizes[:, -1] - growth.A - rounding
+        below = nodal[1:] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
         passes.append((len(t) - 1, float(growth.A[-1])))
         more = _more(passes, max(SHARE * distance.max(), rounding), work)
         if more == 0 or reason or variation is not None:
             break
         t = _refined(t, growth.shares, more)
-    ends = norms.A(run.u)
     most = largest + np.maximum(ends[:-1], ends[1:]) + rounding
     A, B = np.fmin(A, most), np.fmin(B, most * (1.0 if norms.weak else math.sqrt(norms.Lam)))
     if process.metric.method != "factors":
@@ -335,15 +333,17 @@ def _variation(
     return np.cumsum(turning + jumps), np.maximum.accumulate(size)
 
 
-def _difference(nodes: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """v - u_n on each step, u at its nodes: Bernstein coefficients, shape (n, 2 or 4, dim)."""
-    first, last = (nodes.u - u)[:-1], (nodes.u - u)[1:]
-    share = np.diff(nodes.t)[:, None] / 3
-    bend = share * (slopes[:, 0] - nodes.velocity), share * (nodes.velocity - slopes[:, 2])
-    if not np.any(bend):  # v is straight
-        return np.stack([first, last], axis=1)
-    inner = (2 * first + last) / 3 + bend[0], (first + 2 * last) / 3 + bend[1]
-    return np.stack([first, *inner, last], axis=1)
+def _distance(
+    norm: Callable[[np.ndarray], np.ndarray], nodes: Nodes, slopes: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """|v - u_n| at the nodes, and a bound of it on each step, u_n straight between these u.
+
+    h / 3 times v' - its mean, at both ends of a step, are what v bends there: the second and third
+    Bernstein coefficient of a cubic, whose basis functions have the sum 3 x (1 - x) <= 3 / 4.
+    """
+    nodal = norm(nodes.u - u)
+    bends = [norm(slopes[:, k] - nodes.velocity) for k in (0, 2)]
+    return nodal, np.maximum(nodal[:-1], nodal[1:]) + np.diff(nodes.t) / 4 * np.maximum(*bends)
 
 
 # ---- runs ---------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ import numpy as np
 from sweepopt.errors import EmptySetError
 from sweepopt.problem import Motion, Norms, SweepingProcess, TimeFunction, motion
 from sweepopt.results.interpolation import (
-    DERIVATIVE,
     GAUSS,
     TO_BERNSTEIN,
     WEIGHTS,
@@ -39,6 +38,24 @@ from sweepopt.sets import ROUNDING, ConvexSet, Polyhedron, basis, to_bernstein
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
+THIRDS = np.arange(4) / 3
+
+
+def _lobatto(x: np.ndarray) -> np.ndarray:
+    """1 - x, x, x (1 - x) and x (1 - x) (1 - 2x), each of norm 1 in L^2(0, 1)."""
+    return np.stack([1 - x, x, x * (1 - x), x * (1 - x) * (1 - 2 * x)], axis=-1) * np.sqrt(
+        [3, 3, 30, 210]
+    )
+
+
+LOBATTO = _lobatto(GAUSS)
+"""A cubic r is a sum of these four with vectors r_k. r_0 and r_1, its values at the ends, are next
+to 0 where the curve satisfies the inclusion at nodes: only two norms are solved for."""
+TO_LOBATTO = np.linalg.inv(LOBATTO)
+MEAN_SQUARE = np.sqrt(WEIGHTS)[:, None] * LOBATTO
+DERIVATIVES = 3 * basis(2, GAUSS) @ np.diff(TO_BERNSTEIN @ LOBATTO, axis=0)
+MEAN_SQUARE_SLOPE = np.sqrt(WEIGHTS)[:, None] * DERIVATIVES
+MEAN = WEIGHTS[None] @ LOBATTO
 PARTS = 3
 """Parts of a step, on each of which w is a chord of a curved set. With 2 (4) parts bounds were 0.7
 (1.3) times as close and took 0.8 (1.3) times as long."""
@@ -262,52 +279,56 @@ def _on_intervals(
     if not model.shapes:
         w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif offsets is None:
+        sizes = TO_BERNSTEIN @ scale.values
+        error = scale.error @ np.abs([f for _, f in model.motion.scale.terms])
         if model.members is None:
-            s = _curve_in_shape(model, aim, scale.values)
+            s = _curve_in_shape(model, TO_BERNSTEIN @ aim, sizes)
         else:
             first, last = model.members[np.maximum(i - 1, 0), None], model.members[i, None]
-            s = first + (begin + share * HALVES[::2])[:, :, None] * (last - first)
-        w = scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
+            s = first + (begin + share * THIRDS)[:, :, None] * (last - first)
+        # sum_k b_k size_k s_k / sum_k b_k size_k is in S where sizes are positive
+        least, most = sizes.min(axis=1), sizes.max(axis=1)
+        vanishing = (least <= error).any(axis=1)
+        s[vanishing] = s[vanishing].mean(axis=1, keepdims=True)
+        least[vanishing] = most[vanishing]
+        w = basis(3, GAUSS) @ (sizes * s)
+        most += np.divide(most * error, least, out=error, where=least > error)
         # a curve that is moved has no bound of int |r'|
-        gaps, moved = _gaps_in_shape(norms, model, scale, s, directions, ~stiff)
+        gaps, moved = _gaps_in_shape(norms, model, most, s, directions, ~stiff)
         error, error_B, turning = _interpolation_errors(
             norms, model.motion, terms, s, center, scale
         )
         error = error + moved / math.sqrt(norms.beta)
     else:
         w, gaps = _within_rows(model, aim, directions, offsets)
-    r = force - w
+    r = TO_LOBATTO @ (force - w)
     squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
-        sizes = norms.dual(r, np.sqrt(2 * gaps)[:, None])
-        squares = length * (np.sqrt(sizes**2 @ WEIGHTS) + error) ** 2
-    known = np.sqrt(2 * length * gaps)[stiff]
-    slopes_of_r = norms.dual_B(DERIVATIVE @ r[stiff], known[:, None])
-    varies[stiff] = np.sqrt(slopes_of_r**2 @ WEIGHTS)
+        of_r = norms.dual_products(r, np.sqrt(2 * gaps))
+        squares = length * (of_r.of_sum(MEAN_SQUARE) + error) ** 2
+    of_r = norms.dual_products_B(r[stiff], np.sqrt(2 * length * gaps)[stiff])
+    varies[stiff] = of_r.of_sum(MEAN_SQUARE_SLOPE)
     # |r - its mean|^2 <= int |r'|^2 / 3
-    size[stiff] = norms.dual_B(WEIGHTS @ r[stiff], known) + varies[stiff] / math.sqrt(3)
+    size[stiff] = of_r.of_sum(MEAN) + varies[stiff] / math.sqrt(3)
     size += error_B
     varies[stiff] += turning[stiff]
     varies[moved > 0] = np.inf
-    first, last = np.moveaxis(TO_BERNSTEIN[[0, -1]] @ r, 1, 0)
+    first, last = math.sqrt(3) * r[:, 0], math.sqrt(3) * r[:, 1]
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 
 
 def _gaps_in_shape(
     norms: Norms,
     model: _Model,
-    scale: Interpolated,
+    most: np.ndarray,
     s: np.ndarray,
     directions: np.ndarray,
     may_move: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The mean of a bound of G on each interval, and how far the curve is moved for it.
 
-    G <= sup scale (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses.
+    G <= most (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses.
     """
-    most = (TO_BERNSTEIN @ scale.values).max(axis=1)
-    if scale.error.any():
-        most = most + scale.error @ np.abs([f for _, f in model.motion.scale.terms])
     largest = most.max(axis=1)
     ratios = np.where(may_move, largest**2 / norms.beta, np.inf)
     gaps, distance = model.each(_gaps, directions * most[:, None], s, ratios).T
@@ -336,8 +357,8 @@ def _within_rows(
     of_each = np.repeat(slack.mean(axis=1), directions.shape[1], axis=0)
     y = S.multiplier_rows(directions.reshape(-1, S.dim), of_each)
     y = basis(2, GAUSS) @ y.reshape(*directions.shape[:2], f.dim)
-    gaps = (((basis(5, GAUSS) @ slack) + 2 * error[:, None]) * y).sum(axis=2) @ WEIGHTS
-    return basis(5, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
+    gaps = (((basis(3, GAUSS) @ slack) + 2 * error[:, None]) * y).sum(axis=2) @ WEIGHTS
+    return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
 
 
 def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[np.ndarray]:
@@ -366,30 +387,28 @@ def _interpolation_errors(
         if scale.error.any():
             each = np.array([norm(f * s).max(axis=1) for _, f in moving.scale.terms]).T
             error = error + (scale.error * each).sum(axis=1)
-            turning = turning + (scale.slope_error * each).sum(axis=1)
+            # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
+            turning = turning + ((scale.slope_error + 6 * scale.error) * each).sum(axis=1)
         both.append((error, turning))
     (error, _), (error_B, turning) = both
     return error, error_B, turning
 
 
-def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Bernstein coefficients of a curve in S, shape (m, k, dim).
+def _curve_in_shape(model: _Model, force: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Bernstein coefficients of a curve in S, shape (m, 4, dim).
 
     Those of the force / scale, projected on S: S is convex, so the curve stays in it.
     """
-    size = np.broadcast_to(scale, force.shape)
-    aim = TO_BERNSTEIN @ np.divide(force, size, out=np.zeros_like(force), where=size > 0)
+    size = np.broadcast_to(sizes, force.shape)
+    aim = np.divide(force, size, out=np.zeros_like(force), where=size > 0)
     S, ends = model.shapes[0], aim[:, [0, -1]]
-    if not model.motion.scale.constant:  # a moving scale times a line has degree 5
-        return model.each(_projections, ends)
     if (S.exact and S.sharp_gaps) or len(model.shapes) > 1:
         return model.each(_projections, aim)
     # projections one by one take most of the time, and chords lose little; where the force is in S
     # the curve is the force itself
     line = _projections(S, ends)
     inside = (np.abs(line - ends) <= SAME * np.abs(ends).max()).all(axis=(1, 2))
-    share = np.linspace(0, 1, aim.shape[1])[:, None]
-    s: np.ndarray = (1 - share) * line[:, :1] + share * line[:, 1:]
+    s: np.ndarray = line[:, :1] + THIRDS[:, None] * (line[:, 1:] - line[:, :1])
     if inside.any():
         s[inside, 1:-1] = _projections(S, aim[inside, 1:-1])
     return s
