@@ -338,12 +338,16 @@ def _distance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """|v - u_n| at the nodes, and a bound of it on each step, u_n straight between these u.
 
-    h / 3 times v' - its mean, at both ends of a step, are what v bends there: the second and third
-    Bernstein coefficient of a cubic, whose basis functions have the sum 3 x (1 - x) <= 3 / 4.
+    That of the Bernstein coefficients of the cubic, whose ends are at the nodes.
     """
-    nodal = norm(nodes.u - u)
-    bends = [norm(slopes[:, k] - nodes.velocity) for k in (0, 2)]
-    return nodal, np.maximum(nodal[:-1], nodal[1:]) + np.diff(nodes.t) / 4 * np.maximum(*bends)
+    difference, share = nodes.u - u, np.diff(nodes.t)[:, None] / 3
+    first, last, mean = difference[:-1], difference[1:], nodes.velocity
+    nodal = norm(difference)
+    inner = [
+        norm((2 * first + last) / 3 + share * (slopes[:, 0] - mean)),
+        norm((first + 2 * last) / 3 + share * (mean - slopes[:, 2])),
+    ]
+    return nodal, np.maximum.reduce([nodal[:-1], nodal[1:], *inner])
 
 
 # ---- runs ---------------------------------------------------------------------------------------
