@@ -41,7 +41,7 @@ the convexity of sigma, r as a polynomial plus the interpolation error of histor
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -322,8 +322,10 @@ def _growth(norms: Norms, t: np.ndarray, each: Residuals) -> _Growth:
 
 def _variation(
     norms: Norms, each: Residuals, curve: np.ndarray, weak: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Sequence[np.ndarray]:
     """V and sup |r_2| until the end of each step; r_2 is r on the weak steps, and jumps to 0."""
+    if not weak.any():
+        return np.zeros((2, len(weak)))
     turning, size, begin, end, error = (x[curve, np.arange(len(curve))] for x in each[2:])
     turning, size, error = (np.where(weak, x, 0.0) for x in (turning, size, error))
     begin, end = (np.where(weak[:, None], r, 0.0) for r in (begin, end))
