@@ -120,20 +120,18 @@ def _norm(of_one: Products) -> np.ndarray:
 
 def _products(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) -> Products:
     family = w.reshape(-1, *w.shape[-2:])
-    size = np.linalg.norm(family, axis=-1)
-    scale = 1 / math.sqrt(beta) if beta else math.inf
+    size, scale = np.linalg.norm(family, axis=-1), 1 / math.sqrt(beta) if beta else math.inf
     with np.errstate(invalid="ignore"):
         rest = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
     known = np.array(np.broadcast_to(beside, w.shape[:-2]), dtype=float).ravel()
     solved = np.zeros_like(family)
-    for k in np.argsort(-rest, axis=1).T if metric is not None else ():
-        i = np.flatnonzero(rest[np.arange(len(k)), k] > NEGLIGIBLE * known)
-        if not len(i):
-            break
-        at = i, k[i]
-        solved[at], rest[at] = metric.solve_many(family[at]), 0.0
-        squared = (family[at] * solved[at]).sum(axis=1)
-        known[i] = np.maximum(known[i], np.sqrt(np.maximum(squared, 0.0)))
+    if metric is not None:
+        for k in np.argsort(-rest, axis=1).T:  # the largest of each family first
+            i = np.flatnonzero(rest[np.arange(len(k)), k] > NEGLIGIBLE * known)
+            at = i, k[i]
+            solved[at], rest[at] = metric.solve_many(family[at]), 0.0
+            squared = (family[at] * solved[at]).sum(axis=1)
+            known[i] = np.maximum(known[i], np.sqrt(np.maximum(squared, 0.0)))
     counted = np.where((rest == 0)[:, :, None], family, 0.0)
     products = counted @ np.swapaxes(solved, 1, 2)
     shape = w.shape[:-1]

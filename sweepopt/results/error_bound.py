@@ -41,7 +41,7 @@ the convexity of sigma, r as a polynomial plus the interpolation error of histor
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -320,9 +320,7 @@ def _growth(norms: Norms, t: np.ndarray, each: Residuals) -> _Growth:
     return _Growth(A, of_B, once, curve)
 
 
-def _variation(
-    norms: Norms, each: Residuals, curve: np.ndarray, weak: np.ndarray
-) -> Sequence[np.ndarray]:
+def _variation(norms: Norms, each: Residuals, curve: np.ndarray, weak: np.ndarray) -> np.ndarray:
     """V and sup |r_2| until the end of each step; r_2 is r on the weak steps, and jumps to 0."""
     if not weak.any():
         return np.zeros((2, len(weak)))
@@ -332,7 +330,7 @@ def _variation(
     before = np.concatenate([np.zeros_like(end[:1]), end[:-1]])
     known = np.sqrt(each.gaps[curve, np.arange(len(curve))])
     jumps = norms.dual_B(begin - before, known) + error + np.append(0.0, error[:-1])
-    return np.cumsum(turning + jumps), np.maximum.accumulate(size)
+    return np.array([np.cumsum(turning + jumps), np.maximum.accumulate(size)])
 
 
 def _distance(

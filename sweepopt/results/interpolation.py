@@ -21,7 +21,6 @@ from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
-
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 GAUSS, WEIGHTS = 0.5 + 0.5 * _POINTS, 0.5 * _WEIGHTS
 """Points and weights on [0, 1]: exact for squares of cubics."""
