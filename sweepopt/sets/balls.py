@@ -423,13 +423,6 @@ class Ellipsoid(ConvexSet):
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + np.sqrt(self._squares.max()))
 
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not isinstance(other, Ellipsoid):
-            return None
-        # | |R z| - |S z| | <= |(R - S) z| for the symmetric roots R, S of the shapes
-        R, S = ((E._axes * np.sqrt(E._squares)) @ E._axes.T for E in (self, other))
-        return float(np.linalg.norm(self.center - other.center) + np.linalg.norm(R - S, 2))
-
 
 class BallImage(Ellipsoid):
     """{ center + radius root^T s : |s| <= 1 }, flat where the root has no full rank."""

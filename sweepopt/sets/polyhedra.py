@@ -466,11 +466,6 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * float(self.offsets[0])
 
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):
-            return None
-        return abs(self.offset - other.offset) / float(np.linalg.norm(self.G))
-
 
 class GeneratedCone(ConvexSet):
     """{ G^T y : y >= 0 }, the polar cone of { p : G p <= 0 }: by Moreau, v - P(v) is P_polar(v)."""

@@ -145,11 +145,6 @@ class Polytope(ConvexSet):
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not (isinstance(other, Polytope) and self.vertices.shape == other.vertices.shape):
-            return None
-        return float(np.linalg.norm(self.vertices - other.vertices, axis=1).max())
-
 
 class _InSpan(NamedTuple):
     """Points of an affine space by `points = span (w - centre)`, E w = E centre; none is far."""
