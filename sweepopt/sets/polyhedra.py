@@ -26,7 +26,6 @@ from sweepopt.sets.base import (
     Perturbation,
     Selection,
     binary,
-    same_array,
 )
 from sweepopt.sets.least_distance import (
     Flat,
@@ -77,7 +76,7 @@ class Polyhedron(ConvexSet):
     array([0.5, 0.5])
     """
 
-    polyhedral = True
+    polyhedral, fixed = True, ("G",)
 
     def __new__(cls, *args: Any, **named: Any) -> Any:  # subclasses have their own arguments
         if cls is Polyhedron and any(map(callable, (*args, *named.values()))):
@@ -141,7 +140,7 @@ class Polyhedron(ConvexSet):
         return Selection(few, _simplest(rows[left], h[left]), shift if shift.any() else None)
 
     def support(self, z: np.ndarray) -> float:
-        return float(self.support_rows(vector("z", z, self.dim)[None])[0])
+        return float(self.support_rows(z[None])[0])
 
     def support_rows(self, rows: np.ndarray) -> np.ndarray:
         values = np.where(rows.any(axis=1), np.inf, 0.0)
@@ -231,7 +230,6 @@ class Polyhedron(ConvexSet):
         return size * weights * result.x
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
         return normal_by_program(self, v) if exact is None else exact.u
 
@@ -256,7 +254,6 @@ class Polyhedron(ConvexSet):
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
         return w - self.normal(w)
 
     def project_rows(self, rows: np.ndarray, offsets: np.ndarray | None = None) -> np.ndarray:
@@ -373,9 +370,6 @@ class Polyhedron(ConvexSet):
     def features(self, p: cp.Expression) -> Features:
         return rows_features(self.rows, p)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Polyhedron) and same_array(self.G, other.G)
-
     def halfspaces(self) -> Halfspaces:
         return Halfspaces.below(self.G, self.h)
 
@@ -458,7 +452,6 @@ class HalfSpace(Polyhedron):
         return float(self.h[0])
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
         row, length = self.rows[0], float(np.linalg.norm(self.rows[0]))
         factor = float(row @ (z / length)) / length
         # z must be a multiple of the row up to rounding
@@ -470,7 +463,7 @@ class HalfSpace(Polyhedron):
 class GeneratedCone(ConvexSet):
     """{ G^T y : y >= 0 }, the polar cone of { p : G p <= 0 }: by Moreau, v - P(v) is P_polar(v)."""
 
-    polyhedral = True
+    polyhedral, fixed = True, ("G",)
     offsets = np.zeros(0)
 
     def __init__(self, G: Any) -> None:
@@ -479,7 +472,6 @@ class GeneratedCone(ConvexSet):
         self.exact = self._polar.exact
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
         rows = self._polar.rows
         rounding = 2 * ROUNDING * (abs(rows) @ np.abs(z))
         return 0.0 if (rows @ z <= rounding).all() else float("inf")
@@ -500,9 +492,6 @@ class GeneratedCone(ConvexSet):
 
     def features(self, p: cp.Expression) -> Features:
         return Features([], [self._polar.rows @ p <= 0])
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, GeneratedCone) and same_array(self.G, other.G)
 
     def polar(self) -> ConvexSet:
         return self._polar
