@@ -313,7 +313,7 @@ class Aligned(ConvexSet):
             return polar if self.factor > 0 else -polar
         boxes = [P for P in polars if isinstance(P, Box)]
         if len(boxes) < len(polars):
-            raise self._polar_unknown()
+            return super().polar()
         free = np.full(self.dim, np.inf)
         lower = self._joined([P.lower for P in boxes], -free)
         return Box(lower, self._joined([P.upper for P in boxes], free))

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import number, vector
+from sweepopt.checks import Matrix, divisor, number, vector
 from sweepopt.display import Brief, brief, svg
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
@@ -677,15 +677,9 @@ class ConvexSet(Operators, ABC):
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""
         raise InputError(
-            f"{type(self).__name__} is not a cone, and has no polar(); cones are so.Orthant(n), "
-            "so.SecondOrderCone(n) and half-spaces through 0"
-        )
-
-    def _polar_unknown(self) -> InputError:
-        return InputError(
-            "the polar of this set is not known here; known are those of orthants, second-order "
-            "cones, their products, images of orthants, polyhedral cones, and of sums and "
-            "intersections of these"
+            f"{type(self).__name__} is not a cone whose polar is known, and has no polar(); such "
+            "cones are so.Orthant(n), so.SecondOrderCone(n), half-spaces and polyhedra through 0, "
+            "products of them, images of orthants, sums and intersections"
         )
 
     def at(self, t: float) -> ConvexSet:
@@ -736,6 +730,15 @@ def binary(size: float) -> float:
     (4.0, 1.0)
     """
     return math.ldexp(0.5, math.frexp(size)[1]) if size else 1.0
+
+
+def row_units(name: str, M: Matrix) -> np.ndarray:
+    """`binary` of the largest entry of each row; refused, as `name` calls it, if that is tiny."""
+    largest = abs(M).max(axis=1)
+    largest = (largest.toarray() if sp.issparse(M) else largest).ravel()
+    for i in np.flatnonzero(largest):
+        divisor(f"the largest entry of {name.format(i)}", largest[i])
+    return np.array([binary(size) for size in largest.tolist()])
 
 
 def same_array(a: Any, b: Any) -> bool:

@@ -119,9 +119,6 @@ class Constraints(ConvexSet):
     def normal_pair(self, p: Any, w: Any, tau: Any) -> None:
         return None
 
-    def polar(self) -> ConvexSet:
-        raise self._polar_unknown()
-
     def same_cone(self, other: ConvexSet) -> bool:
         same = isinstance(other, Constraints) and self.cones == other.cones
         return same and super().same_cone(other)

@@ -334,10 +334,6 @@ class Lifted(ConvexSet):
         support = residuals.support(-near.w)
         return support < -rounding * distance or (near.exact and support == math.inf)
 
-    def polar(self) -> ConvexSet:
-        self.part.polar()  # says so if this is no cone at all
-        raise self._polar_unknown()
-
 
 def _rounded(v: np.ndarray) -> Perturbation:
     """A pair's perturbation where nothing is known but v, of which w and p are parts."""

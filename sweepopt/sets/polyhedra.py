@@ -12,7 +12,7 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
-from sweepopt.checks import divisor, matrix, number, vector
+from sweepopt.checks import matrix, number, vector
 from sweepopt.display import brief
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import UNIT, dense, product_error, row_lengths
@@ -25,7 +25,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     Selection,
-    binary,
+    row_units,
 )
 from sweepopt.sets.least_distance import (
     Flat,
@@ -89,12 +89,8 @@ class Polyhedron(ConvexSet):
         if not self.dim:
             raise InputError("G must have at least one column")
         self.exact = self.certifiable = min(self.G.shape) <= ACTIVE_DIM
-        largest = abs(self.G).max(axis=1)
-        largest = (largest.toarray() if sp.issparse(self.G) else largest).ravel()
-        for i in np.flatnonzero(largest):
-            divisor(f"the largest entry of row {i} of G", largest[i])
         # rows of numbers near 1, whose right hand sides are the offsets
-        self._units = np.array([binary(row) for row in largest])
+        self._units = row_units("row {} of G", self.G)
         rows = sp.diags_array(1 / self._units) @ self.G
         self.rows = rows if max(rows.shape) > DENSE else dense(rows)
         lengths = row_lengths(self.rows)
