@@ -248,14 +248,26 @@ def test_a_cone_of_ones_own_may_have_no_offsets_and_features_may_be_tuples():
 @pytest.mark.parametrize(
     "wrong, message",
     [
-        ({"law": lambda p, y: None}, r"Disc.features must return Features\(\[y\], .*, got None"),
-        ({"law": lambda p, y: (y, cp.norm(p) <= y)}, "Disc.features must return Features"),
-        ({"y": cp.Variable(2)}, "Disc.features: y has 2 entries for 1 offsets; give one each"),
+        (
+            {"law": lambda p, y: None},
+            r"Disc.features is no .* must return Features\(\[y\], .*: None",
+        ),
+        (
+            {"law": lambda p, y: (y, cp.norm(p) <= y)},
+            "Disc.features is no program: TypeError: .* must return",
+        ),
+        (
+            {"y": cp.Variable(2)},
+            "Disc.features is no program: .* y of 1 entries, one for each offset",
+        ),
         (
             {"law": lambda p, y: Features([y], [2 * cp.norm(p) <= y[0]])},
             r"features contradicts support: .* least <offsets, y> is 0.68\d*, but .* = 0.34",
         ),
-        ({"law": lambda p, y: Features([y], [cp.sqrt(y[0]) <= 1])}, "constraints are not convex"),
+        (
+            {"law": lambda p, y: Features([y], [cp.sqrt(y[0]) <= 1])},
+            "features is no program: DCPError",
+        ),
         ({"offsets": 0.5}, r"offsets must be an array of shape \(1,\), got 0.5"),
         ({"offsets": None}, "Disc.offsets must be an array of numbers, got None"),
     ],

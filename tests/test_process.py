@@ -189,7 +189,7 @@ def test_an_empty_set_is_refused_with_its_time_before_any_solver_runs():
     "C",
     [
         so.MovingSet(lambda t: so.Point([t, t])),
-        so.MovingSet(lambda t: so.HalfSpace([1, 0.5], 1 - 2 * np.sin(t))),
+        so.Polyhedron([[1, 0.5]], lambda t: [1 - 2 * np.sin(t)]),
         so.Moving(so.Ball([0, 0], 1), lambda t: [2 * t, t]) + so.Box([-1, 0], [1, 0]),
         -so.Moving(so.Box([-1, -1], [1, 1]), lambda t: [3 * t, 0], lambda t: 1 + t),
     ],

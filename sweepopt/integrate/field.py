@@ -19,7 +19,7 @@ from sweepopt.integrate.schemes import SCHEMES, Scheme, choose
 from sweepopt.integrate.step import Velocities, combination
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.sets import ConvexSet, image
-from sweepopt.velocity import StateVelocity, StepProgram, compile_velocity, make_plan, matrix
+from sweepopt.velocity import StateVelocity, StepProgram, compile_velocity, make_plan
 
 Field = Callable[[float, Any], np.ndarray]
 FIRST_STAGE = SCHEMES["trapezoid"]  # its first stage is this velocity
@@ -242,4 +242,4 @@ def program_of_stage(
         u = u + mu * combination(weights, stages[:stage]) if stage else u
         own = own if contraction else u
     C = process.set_at(t + tableau.c[stage] * mu, own)
-    return StepProgram.of(matrix(process, mu * implicit), process.times_B(u), C)
+    return StepProgram.of(process.matrix(mu * implicit), process.times_B(u), C)

@@ -7,7 +7,6 @@ from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, kernel, l
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
     EPS,
-    SMALL,
     UNIT,
     dense,
     euclidean,
@@ -22,7 +21,6 @@ from sweepopt.linalg.twice_precision import Precise, exact_sum, product_error
 __all__ = [
     "EPS",
     "NEGLIGIBLE",
-    "SMALL",
     "UNIT",
     "Elimination",
     "Factor",

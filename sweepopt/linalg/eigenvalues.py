@@ -37,7 +37,8 @@ def kernel(M: Matrix) -> Matrix:
     _, group = csgraph.connected_components(rows, directed=False)
     alone = np.bincount(group)[group] == 1
     diagonal = np.asarray(M.diagonal(), dtype=float)
-    columns.append(sp.csc_array(sp.eye_array(len(group)))[:, np.flatnonzero(diagonal == 0)])
+    one = sp.eye_array(len(group), format="csc")
+    columns.append(one[:, np.flatnonzero(diagonal == 0)])
     for name in np.unique(group[~alone]):
         some = np.flatnonzero(group == name)
         if some.size > MOST_COUPLED:
@@ -48,10 +49,7 @@ def kernel(M: Matrix) -> Matrix:
         units = 1 / np.sqrt(diagonal[some])
         values, vectors = scipy.linalg.eigh(units[:, None] * dense(rows[some][:, some]) * units)
         vectors = units[:, None] * vectors[:, values <= SEMIDEFINITE]
-        vectors /= np.linalg.norm(vectors, axis=0)
-        i, j = np.indices(vectors.shape)
-        shape = len(group), vectors.shape[1]
-        columns.append(sp.csc_array((vectors.ravel(), (some[i.ravel()], j.ravel())), shape))
+        columns.append(one[:, some] @ sp.csc_array(vectors / np.linalg.norm(vectors, axis=0)))
     basis = sp.csc_array(sp.hstack(columns))
     return basis if sp.issparse(M) else basis.toarray()
 

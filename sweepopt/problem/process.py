@@ -265,9 +265,8 @@ class SweepingProcess(Displayed):
         C = self.C
         if not (isinstance(C, StateDependent) and gamma and abs(C.lipschitz).max()):
             return 0.0
-        M = self.A if self.B is None else self.A + gamma * self.B
         try:
-            metric = Factor(M, "A + gamma B")
+            metric = Factor(self.matrix(gamma), "A + gamma B")
         except IndefiniteError:
             raise InputError(
                 "C(t, u) depends on the state beside isotropic hardening alone, which leaves A + "
@@ -289,6 +288,10 @@ class SweepingProcess(Displayed):
                 "C(t, u) are not monotone in u; take equal steps, and compare with a run of twice "
                 "as many"
             )
+
+    def matrix(self, gamma: float) -> Matrix:
+        """A + gamma B, rounded."""
+        return self.A if self.B is None or not gamma else self.A + gamma * self.B
 
     def times_B(self, u: np.ndarray) -> np.ndarray:
         """B u, zero where there is no B."""
@@ -618,8 +621,7 @@ def _check_written(C: ConvexSet) -> None:
     """Spot-check the sets that users write, alone or in others."""
     for part in _leaves(C):
         if not type(part).__module__.startswith(f"{__package__.partition('.')[0]}."):
-            _check_support(part)
-            _check_projection(part)
+            _check_set(part)
 
 
 def _leaves(C: ConvexSet) -> Iterator[ConvexSet]:
@@ -632,8 +634,10 @@ def _leaves(C: ConvexSet) -> Iterator[ConvexSet]:
             yield from _leaves(part)
 
 
-def _check_support(C: ConvexSet) -> None:
-    """Spot-check that sigma(C, .) is positively homogeneous."""
+def _check_set(C: ConvexSet) -> None:
+    """Spot-check that sigma(C, .) is positively homogeneous, and that v - P(v) is normal to C at
+    P(v) in C, by the support function; features.
+    """
     name, direction = type(C).__name__, np.cos(np.arange(C.dim) + 1.0)
     for z in (direction, -direction):
         once, twice = (number(f"{name}.support(z)", C.support(v), finite=False) for v in (z, 2 * z))
@@ -642,11 +646,6 @@ def _check_support(C: ConvexSet) -> None:
                 f"{name}.support is not positively homogeneous: "
                 f"sigma(z) = {once:g} but sigma(2z) = {twice:g}"
             )
-
-
-def _check_projection(C: ConvexSet) -> None:
-    """Spot-check that v - P(v) is normal to C at P(v) in C, by the support function; features."""
-    name, direction = type(C).__name__, np.cos(np.arange(C.dim) + 1.0)
     widths = np.abs([C.support(direction), C.support(-direction)])
     reach = 2 * widths[np.isfinite(widths)].sum() / (direction @ direction) or 1.0
     inside = vector(f"{name}.project(v)", C.project(C.anchor), C.dim)

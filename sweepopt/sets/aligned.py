@@ -19,7 +19,6 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import vector
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
     Blocks,
@@ -126,12 +125,12 @@ class Aligned(ConvexSet):
         return Features(own + y, constraints)
 
     def support(self, z: np.ndarray) -> float:
-        z, (r, sign) = vector("z", z, self.dim), self._scale
+        r, sign = self._scale
         sigma = r * sum(S.support(x) for S, x in self._split(sign * z))
         return sigma if self.v is None else sigma + float(self.v @ z)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        each = self._split(self._back(vector("w", w, self.dim)))
+        each = self._split(self._back(w))
         return self._to(self._joined([S.project(x) for S, x in each]))
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
@@ -314,7 +313,7 @@ class Aligned(ConvexSet):
             return polar if self.factor > 0 else -polar
         boxes = [P for P in polars if isinstance(P, Box)]
         if len(boxes) < len(polars):
-            raise self._polar_unknown()
+            return super().polar()
         free = np.full(self.dim, np.inf)
         lower = self._joined([P.lower for P in boxes], -free)
         return Box(lower, self._joined([P.upper for P in boxes], free))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.checks import HUGE, dimension, entries, number, symmetric, vector
+from sweepopt.checks import HUGE, dimension, entries, number, symmetric
 from sweepopt.errors import InputError
 from sweepopt.linalg import Precise, dense
 from sweepopt.sets.base import (
@@ -25,7 +25,6 @@ from sweepopt.sets.base import (
     assembled,
     binary,
     neighbours,
-    same_array,
 )
 from sweepopt.sets.curves import ball_arcs, products
 from sweepopt.sets.shapes import Box
@@ -86,12 +85,11 @@ class Balls(_InBlocks):
         return (w - self.center).reshape(-1, self.block)
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
         lengths = np.linalg.norm(z.reshape(-1, self.block), axis=1)
         return float(np.sum(self.center * z) + self.radii @ lengths)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return self.project_rows(vector("w", w, self.dim)[None])[0]
+        return self.project_rows(w[None])[0]
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         arms = self._arms(rows).reshape(len(rows), -1, self.block)
@@ -209,7 +207,7 @@ class SecondOrderCone(_InBlocks):
     array([1., 1.])
     """
 
-    offsets = np.zeros(0)
+    offsets, fixed = np.zeros(0), ("slopes",)
 
     def __init__(self, dim: int, slopes: Any = 1.0) -> None:
         self.block = dimension(dim)
@@ -224,15 +222,8 @@ class SecondOrderCone(_InBlocks):
         rows = w.reshape(-1, self.block)
         return rows[:, 0], rows[:, 1:], np.linalg.norm(rows[:, 1:], axis=1)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, SecondOrderCone)
-            and self.block == other.block
-            and np.array_equal(self.slopes, other.slopes)
-        )
-
     def support(self, z: np.ndarray) -> float:
-        height, _, length = self._split(vector("z", z, self.dim))
+        height, _, length = self._split(z)
         excess = height + self.slopes * length
         inside = excess <= ROUNDING * (np.abs(height) + self.slopes * length)
         return 0.0 if inside.all() else float("inf")
@@ -242,7 +233,7 @@ class SecondOrderCone(_InBlocks):
         return 0.0 - self._onto(-v, 1 / self.slopes)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return self._onto(vector("w", w, self.dim), self.slopes)
+        return self._onto(w, self.slopes)
 
     def _onto(self, w: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         height, arms, length = self._split(w)
@@ -329,6 +320,8 @@ class Ellipsoid(ConvexSet):
     2.0
     """
 
+    fixed = ("matrix",)
+
     def __init__(self, center: Any, shape: Any) -> None:
         center = entries("center", center)
         shape = dense(symmetric("shape", shape, center.size))
@@ -357,12 +350,10 @@ class Ellipsoid(ConvexSet):
         return Precise(self._shape)
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
         return float(self.center @ z + np.linalg.norm(self.root @ z))
 
     def project(self, w: np.ndarray) -> np.ndarray:
         # x_i = e_i d_i / (e_i + lam)
-        w = vector("w", w, self.dim)
         d, e = self._axes.T @ (w - self.center), self._squares
         lam = self._memo(d, self._multiplier)
         if not lam and e.all():
@@ -417,18 +408,8 @@ class Ellipsoid(ConvexSet):
             [p, size], norms_below(self.matrix / self._unit @ p, size, len(self.matrix))
         )
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Ellipsoid) and same_array(self.matrix, other.matrix)
-
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + np.sqrt(self._squares.max()))
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not isinstance(other, Ellipsoid):
-            return None
-        # | |R z| - |S z| | <= |(R - S) z| for the symmetric roots R, S of the shapes
-        R, S = ((E._axes * np.sqrt(E._squares)) @ E._axes.T for E in (self, other))
-        return float(np.linalg.norm(self.center - other.center) + np.linalg.norm(R - S, 2))
 
 
 class BallImage(Ellipsoid):

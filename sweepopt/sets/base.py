@@ -21,14 +21,14 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, wraps
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import number, vector
+from sweepopt.checks import Matrix, divisor, number, vector
 from sweepopt.display import Brief, brief, svg
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
@@ -327,9 +327,9 @@ class ConvexSet(Operators, ABC):
     """A non-empty closed convex set C in R^dim: the base of all sets, and of your own.
 
     A set of your own has `dim` and `offsets`, and gives `support`, `project` and `features`; the
-    example has all that is needed. If it has more data than its offsets, such as a matrix, give
-    `same_cone` too, if it is unbounded `normal`, and `derivative` to let Newton's method solve its
-    programs to rounding, many times as fast.
+    example has all that is needed. If it has more data than its offsets, such as a matrix, name
+    them in `fixed`; if it is unbounded give `normal` too, and `derivative` to let Newton's method
+    solve its programs to rounding, many times as fast.
 
     Attributes
     ----------
@@ -337,6 +337,9 @@ class ConvexSet(Operators, ABC):
         Dimension of the space.
     offsets : ndarray, shape (k,)
         The numbers in which the support function is linear: bounds, radii, right hand sides.
+    fixed : tuple of str
+        Names of attributes, arrays, that are other data: where they and the numbers of offsets are
+        the same, one compiled program serves two sets.
     polyhedral : bool
         Whether C is a polyhedron, so that a QP solver can treat it.
     exact : bool
@@ -373,10 +376,29 @@ class ConvexSet(Operators, ABC):
     offsets: np.ndarray = cast(
         Any, _Required("an array of the numbers in which its support function is linear")
     )
+    fixed: tuple[str, ...] = ()
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
     _last: tuple[bytes, Any] = b"", None
+
+    def __init_subclass__(cls) -> None:
+        """Arguments of `support` and `project` are vectors of the space, whoever wrote the set."""
+        support, project = (vars(cls).get(name) for name in ("support", "project"))
+        if support:
+
+            @wraps(support)
+            def checked_support(self: Any, z: Any) -> Any:
+                return support(self, vector("z", z, self.dim))
+
+            cls.support = checked_support  # type: ignore[method-assign]
+        if project:
+
+            @wraps(project)
+            def checked_project(self: Any, w: Any) -> Any:
+                return project(self, vector("w", w, self.dim))
+
+            cls.project = checked_project  # type: ignore[method-assign]
 
     # ---- the contract -------------------------------------------------------------------------
 
@@ -398,6 +420,7 @@ class ConvexSet(Operators, ABC):
             type(self) is type(other)
             and self.dim == other.dim
             and self.offsets.size == other.offsets.size
+            and all(same_array(getattr(self, x), getattr(other, x)) for x in self.fixed)
         )
 
     # ---- what follows from it -----------------------------------------------------------------
@@ -654,15 +677,9 @@ class ConvexSet(Operators, ABC):
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""
         raise InputError(
-            f"{type(self).__name__} is not a cone, and has no polar(); cones are so.Orthant(n), "
-            "so.SecondOrderCone(n) and half-spaces through 0"
-        )
-
-    def _polar_unknown(self) -> InputError:
-        return InputError(
-            "the polar of this set is not known here; known are those of orthants, second-order "
-            "cones, their products, images of orthants, polyhedral cones, and of sums and "
-            "intersections of these"
+            f"{type(self).__name__} is not a cone whose polar is known, and has no polar(); such "
+            "cones are so.Orthant(n), so.SecondOrderCone(n), half-spaces and polyhedra through 0, "
+            "products of them, images of orthants, sums and intersections"
         )
 
     def at(self, t: float) -> ConvexSet:
@@ -713,6 +730,15 @@ def binary(size: float) -> float:
     (4.0, 1.0)
     """
     return math.ldexp(0.5, math.frexp(size)[1]) if size else 1.0
+
+
+def row_units(name: str, M: Matrix) -> np.ndarray:
+    """`binary` of the largest entry of each row; refused, as `name` calls it, if that is tiny."""
+    largest = abs(M).max(axis=1)
+    largest = (largest.toarray() if sp.issparse(M) else largest).ravel()
+    for i in np.flatnonzero(largest):
+        divisor(f"the largest entry of {name.format(i)}", largest[i])
+    return np.array([binary(size) for size in largest.tolist()])
 
 
 def same_array(a: Any, b: Any) -> bool:

@@ -22,9 +22,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import lsmr
 
-from sweepopt.checks import dimension, vector
+from sweepopt.checks import dimension
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
-from sweepopt.sets.base import ConvexSet, Features, same_array
+from sweepopt.sets.base import ConvexSet, Features
 from sweepopt.sets.programs import in_turn, normal_by_program, support_by_program
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ class Constraints(ConvexSet):
     """
 
     certifiable = exact = False
+    fixed = ("G", "H")
 
     def __repr__(self) -> str:
         better = (
@@ -98,13 +99,12 @@ class Constraints(ConvexSet):
         self.offsets, self.G, self.H, self.cones = in_own_units(form)
 
     def support(self, z: np.ndarray) -> float:
-        value = support_by_program(self, vector("z", z, self.dim))
+        value = support_by_program(self, z)
         if value == np.inf:
             self.require_nonempty()
         return value
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
         return w - normal_by_program(self, w)
 
     def features(self, p: cp.Expression) -> Features:
@@ -119,16 +119,9 @@ class Constraints(ConvexSet):
     def normal_pair(self, p: Any, w: Any, tau: Any) -> None:
         return None
 
-    def polar(self) -> ConvexSet:
-        raise self._polar_unknown()
-
     def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, Constraints)
-            and self.cones == other.cones
-            and same_array(self.G, other.G)
-            and same_array(self.H, other.H)
-        )
+        same = isinstance(other, Constraints) and self.cones == other.cones
+        return same and super().same_cone(other)
 
     def magnitude(self) -> float:
         try:

@@ -19,7 +19,6 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import norm
 
-from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import (
@@ -91,7 +90,7 @@ class Lifted(ConvexSet):
         return Features([multipliers, *y], constraints)
 
     def support(self, z: np.ndarray) -> float:
-        z, E = vector("z", z, self.dim), self.lifted.E
+        E = self.lifted.E
         if self.lifted.F.shape[0]:
             return support_by_program(self, z)
         # an entry that is nothing but rounding is 0, so that it meets the domain of S
@@ -227,11 +226,10 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        v = vector("w", w, self.dim)
-        if not self.certifiable or self._blocks is not None or self._pair_of_one(v) is not None:
-            return self._nearest(v).w
-        near = self.near(v)
-        return near.w.copy() if near.exact else self._nearest(v).w
+        if not self.certifiable or self._blocks is not None or self._pair_of_one(w) is not None:
+            return self._nearest(w).w
+        near = self.near(w)
+        return near.w.copy() if near.exact else self._nearest(w).w
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """Rows are points of curves: each projection starts from the one before."""
@@ -335,10 +333,6 @@ class Lifted(ConvexSet):
             return False
         support = residuals.support(-near.w)
         return support < -rounding * distance or (near.exact and support == math.inf)
-
-    def polar(self) -> ConvexSet:
-        self.part.polar()  # says so if this is no cone at all
-        raise self._polar_unknown()
 
 
 def _rounded(v: np.ndarray) -> Perturbation:

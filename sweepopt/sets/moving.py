@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from functools import partial, wraps
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -163,7 +162,7 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
             return translated
         fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
         points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
-        at = partial(_operation_at, operation.__module__, operation.__name__, fixed)
+        at = partial(_operation_at, on_all, fixed)
         made = MovingSet(at, operation(*points).dim)
         made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
@@ -188,10 +187,10 @@ def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Movin
     return Moving(operation(*shapes), Separable(terms))
 
 
-def _operation_at(module: str, name: str, operands: list[Any], t: float) -> ConvexSet:
-    """What an operation, by its name as pickles need it, makes of its operands at a time."""
-    operation = getattr(import_module(module), name)
-    return operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
+def _operation_at(operation: Callable[..., Any], operands: list[Any], t: float) -> ConvexSet:
+    """What an operation makes of its operands at a time."""
+    made: ConvexSet = operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
+    return made
 
 
 class Moving(MovingSet):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import HUGE, Matrix, divisor, matrix, number, vector
+from sweepopt.checks import HUGE, Matrix, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
@@ -25,10 +25,10 @@ from sweepopt.sets.base import (
     Algebra,
     ConvexSet,
     Operators,
-    binary,
     is_vector,
     nested,
     require_same_dim,
+    row_units,
 )
 from sweepopt.sets.epigraph import epigraph
 from sweepopt.sets.lifted import Intersection, Lifted, Sum
@@ -36,6 +36,8 @@ from sweepopt.sets.moving import MovingSet, over_time
 from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
+
+COLUMN = "column {} of M"
 
 
 @partial(over_time, linear=True)
@@ -158,16 +160,8 @@ def image(M: Any, C: Any) -> Any:
     M = matrix("M", M)
     if not M.shape[0]:
         raise InputError("M must have at least one row")
-    for j, size in enumerate(_sizes(M)):
-        if size:
-            divisor(f"the largest entry of column {j} of M", size)
+    row_units(COLUMN, M.T)
     return _image(M, C)
-
-
-def _sizes(M: Matrix) -> list[float]:
-    """The largest entry of each column."""
-    largest = abs(M).max(axis=0)
-    return (largest.toarray() if sp.issparse(M) else largest).tolist()
 
 
 @partial(over_time, linear=True)
@@ -204,7 +198,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         return BallImage(M @ C.center, radius, dense(root @ M.T))
     if isinstance(C, Polyhedron):
         # columns of numbers near 1: their units, powers of two, go to the set
-        units = sp.diags_array([1 / binary(size) for size in _sizes(M)])
+        units = sp.diags_array(1 / row_units(COLUMN, M.T))
         M, C = M @ units, Polyhedron(C.G @ units, C.h)
     elif isinstance(C, Box) and not C.offsets.any():  # <p, M s> <= 0 for all s of the cone
         return GeneratedCone(C.polar().halfspaces().N @ M.T)

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
-from sweepopt.checks import divisor, matrix, number, vector
+from sweepopt.checks import matrix, number, vector
 from sweepopt.display import brief
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import UNIT, dense, product_error, row_lengths
@@ -25,8 +25,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     Selection,
-    binary,
-    same_array,
+    row_units,
 )
 from sweepopt.sets.least_distance import (
     Flat,
@@ -77,7 +76,7 @@ class Polyhedron(ConvexSet):
     array([0.5, 0.5])
     """
 
-    polyhedral = True
+    polyhedral, fixed = True, ("G",)
 
     def __new__(cls, *args: Any, **named: Any) -> Any:  # subclasses have their own arguments
         if cls is Polyhedron and any(map(callable, (*args, *named.values()))):
@@ -90,12 +89,8 @@ class Polyhedron(ConvexSet):
         if not self.dim:
             raise InputError("G must have at least one column")
         self.exact = self.certifiable = min(self.G.shape) <= ACTIVE_DIM
-        largest = abs(self.G).max(axis=1)
-        largest = (largest.toarray() if sp.issparse(self.G) else largest).ravel()
-        for i in np.flatnonzero(largest):
-            divisor(f"the largest entry of row {i} of G", largest[i])
         # rows of numbers near 1, whose right hand sides are the offsets
-        self._units = np.array([binary(row) for row in largest])
+        self._units = row_units("row {} of G", self.G)
         rows = sp.diags_array(1 / self._units) @ self.G
         self.rows = rows if max(rows.shape) > DENSE else dense(rows)
         lengths = row_lengths(self.rows)
@@ -141,7 +136,7 @@ class Polyhedron(ConvexSet):
         return Selection(few, _simplest(rows[left], h[left]), shift if shift.any() else None)
 
     def support(self, z: np.ndarray) -> float:
-        return float(self.support_rows(vector("z", z, self.dim)[None])[0])
+        return float(self.support_rows(z[None])[0])
 
     def support_rows(self, rows: np.ndarray) -> np.ndarray:
         values = np.where(rows.any(axis=1), np.inf, 0.0)
@@ -231,7 +226,6 @@ class Polyhedron(ConvexSet):
         return size * weights * result.x
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
         return normal_by_program(self, v) if exact is None else exact.u
 
@@ -256,7 +250,6 @@ class Polyhedron(ConvexSet):
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
         return w - self.normal(w)
 
     def project_rows(self, rows: np.ndarray, offsets: np.ndarray | None = None) -> np.ndarray:
@@ -373,9 +366,6 @@ class Polyhedron(ConvexSet):
     def features(self, p: cp.Expression) -> Features:
         return rows_features(self.rows, p)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Polyhedron) and same_array(self.G, other.G)
-
     def halfspaces(self) -> Halfspaces:
         return Halfspaces.below(self.G, self.h)
 
@@ -458,7 +448,6 @@ class HalfSpace(Polyhedron):
         return float(self.h[0])
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
         row, length = self.rows[0], float(np.linalg.norm(self.rows[0]))
         factor = float(row @ (z / length)) / length
         # z must be a multiple of the row up to rounding
@@ -466,16 +455,11 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * float(self.offsets[0])
 
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):
-            return None
-        return abs(self.offset - other.offset) / float(np.linalg.norm(self.G))
-
 
 class GeneratedCone(ConvexSet):
     """{ G^T y : y >= 0 }, the polar cone of { p : G p <= 0 }: by Moreau, v - P(v) is P_polar(v)."""
 
-    polyhedral = True
+    polyhedral, fixed = True, ("G",)
     offsets = np.zeros(0)
 
     def __init__(self, G: Any) -> None:
@@ -484,7 +468,6 @@ class GeneratedCone(ConvexSet):
         self.exact = self._polar.exact
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
         rows = self._polar.rows
         rounding = 2 * ROUNDING * (abs(rows) @ np.abs(z))
         return 0.0 if (rows @ z <= rounding).all() else float("inf")
@@ -505,9 +488,6 @@ class GeneratedCone(ConvexSet):
 
     def features(self, p: cp.Expression) -> Features:
         return Features([], [self._polar.rows @ p <= 0])
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, GeneratedCone) and same_array(self.G, other.G)
 
     def polar(self) -> ConvexSet:
         return self._polar

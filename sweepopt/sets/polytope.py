@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from sweepopt.checks import matrix, vector
+from sweepopt.checks import matrix
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
@@ -17,7 +17,6 @@ from sweepopt.sets.base import (
     Halfspaces,
     NoHalfspacesError,
     binary,
-    same_array,
 )
 from sweepopt.sets.least_distance import nonnegative_least_squares, projector
 
@@ -57,7 +56,7 @@ class Polytope(ConvexSet):
     array([0.5, 0.5])
     """
 
-    polyhedral = True
+    polyhedral, fixed = True, ("vertices",)
 
     def __init__(self, vertices: Any) -> None:
         self.vertices = dense(matrix("vertices", vertices))
@@ -68,10 +67,9 @@ class Polytope(ConvexSet):
         self.offsets = np.array([binary(np.abs(self.vertices).max())])
 
     def support(self, z: np.ndarray) -> float:
-        return float((self.vertices @ vector("z", z, self.dim)).max())
+        return float((self.vertices @ z).max())
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
         face = self._memo(w, self._nearest_face)
         return w if face is None else face.point.copy()
 
@@ -139,16 +137,8 @@ class Polytope(ConvexSet):
         size = cp.Variable(1)
         return Features([size], [(self.vertices / self.offsets) @ p <= size])
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Polytope) and same_array(self.vertices, other.vertices)
-
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.vertices, axis=1).max())
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not (isinstance(other, Polytope) and self.vertices.shape == other.vertices.shape):
-            return None
-        return float(np.linalg.norm(self.vertices - other.vertices, axis=1).max())
 
 
 class _InSpan(NamedTuple):

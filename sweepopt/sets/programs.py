@@ -75,28 +75,19 @@ def check_features(C: ConvexSet) -> None:
     h = vector(f"{type(C).__name__}.offsets", getattr(C, "offsets", None))
     if np.shape(C.offsets) != h.shape:
         raise InputError(f"offsets must be an array of shape ({h.size},), got {h[0]:g}")
-    pair = isinstance(given, tuple) and len(given) == 2
-    if not (pair and all(isinstance(x, (list, tuple)) for x in given)):
-        raise InputError(f"{name} must return Features([y], [constraints]), got {shown(given)}")
-    for shape in map(np.shape, given[0]):
-        if len(shape) > 1:
-            raise InputError(f"{name}: y has shape {shape}; give numbers and vectors")
-    count, size = sum(map(np.size, given[0])), float(np.abs(h).max(initial=0.0)) or 1.0
-    if count != h.size:
-        raise InputError(f"{name}: y has {count} entries for {h.size} offsets; give one each")
-    sigma = C.support(z)
+    sigma, size = C.support(z), float(np.abs(h).max(initial=0.0)) or 1.0
     try:
-        value = h / size @ cp.hstack(given[0]) if count else cp.Constant(0.0)
-        problem = cp.Problem(cp.Minimize(value), given[1])
-        if not problem.is_dcp():
-            raise InputError(f"{name}: its constraints are not convex (DCP of cvxpy)")
+        y, constraints = given
+        value = np.append(0 * z, h / size) @ cp.hstack([z, *y])
+        problem = cp.Problem(cp.Minimize(value), [*constraints])
         least = problem.solve(solver="CLARABEL")
         # of a program without variables cvxpy gives None
         least = math.inf if problem.status == cp.INFEASIBLE else size * float(least)
-    except SweepoptError:
-        raise
     except Exception as error:  # whatever cvxpy has against a user's expressions
-        raise InputError(f"{name} is no program: {type(error).__name__}: {error}") from error
+        raise InputError(
+            f"{name} is no program: {type(error).__name__}: {error}; it must return Features([y], "
+            f"[constraints]), convex, y of {h.size} entries, one for each offset: {shown(given)}"
+        ) from error
     if not (sigma == least or abs(sigma - least) <= 1e-3 * max(size, abs(sigma))):
         raise InputError(
             f"{name} contradicts support: for z = {shown(z)} the least <offsets, y> is "

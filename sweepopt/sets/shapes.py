@@ -18,7 +18,6 @@ from sweepopt.sets.base import (
     Halfspaces,
     Selection,
     difference,
-    same_array,
 )
 from sweepopt.sets.curves import products
 
@@ -50,7 +49,7 @@ class Box(ConvexSet):
     3.0
     """
 
-    polyhedral = True
+    polyhedral, fixed = True, ("_low", "_up")
     block = 1
 
     def __init__(self, lower: Any, upper: Any) -> None:
@@ -77,13 +76,12 @@ class Box(ConvexSet):
         return Selection(few, part, shift if shift.any() else None)
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
         moving = z != 0
         side = np.where(z > 0, self.upper, self.lower)
         return float(side[moving] @ z[moving])
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return np.minimum(np.maximum(vector("w", w, self.dim), self.lower), self.upper)
+        return np.minimum(np.maximum(w, self.lower), self.upper)
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         return np.minimum(np.maximum(rows, self.lower), self.upper)
@@ -111,14 +109,6 @@ class Box(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray:
         free = (v >= self.lower) & (v <= self.upper) & (self.lower < self.upper)
         return free.astype(float)
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, Box)
-            and self.singleton == other.singleton
-            and same_array(self._low, other._low)
-            and same_array(self._up, other._up)
-        )
 
     def factors(self) -> list[ConvexSet]:
         bounds = zip(self.lower[:, None], self.upper[:, None], strict=True)

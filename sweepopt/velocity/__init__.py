@@ -8,11 +8,9 @@ from sweepopt.velocity.compiled import (
     VelocityOf,
     compile_projection,
     compile_velocity,
-    matrix,
 )
 from sweepopt.velocity.plan import PATHS, Plan, make_plan
 from sweepopt.velocity.program import VelocityProgram, untranslated
-from sweepopt.velocity.proportional import Reduction
 from sweepopt.velocity.solvers import (
     DAQP,
     OSQP,
@@ -39,7 +37,6 @@ __all__ = [
     "Cvxpy",
     "Newton",
     "Plan",
-    "Reduction",
     "Solve",
     "Solver",
     "StateVelocity",
@@ -53,7 +50,6 @@ __all__ = [
     "compile_velocity",
     "installed",
     "make_plan",
-    "matrix",
     "of_fixed_point",
     "untranslated",
 ]

@@ -35,11 +35,6 @@ EVERY: Any = slice(None)
 DEFAULT_TOL = 1e-6  # what is aimed at where every answer is welcome (tol = inf)
 
 
-def matrix(process: SweepingProcess, gamma: float) -> Matrix:
-    """A + gamma B, rounded."""
-    return process.A if process.B is None or not gamma else process.A + gamma * process.B
-
-
 def compile_velocity(process: SweepingProcess, plan: Plan, gamma: float) -> StateVelocity:
     """(u, C) -> the velocity z with -z in N_C(A z + B (u + gamma z)), certified.
 
@@ -47,8 +42,7 @@ def compile_velocity(process: SweepingProcess, plan: Plan, gamma: float) -> Stat
     """
     if plan.reduction is not None:
         return ReducedVelocity(plan, plan.reduction, gamma)
-    M = matrix(process, gamma)
-    return StateVelocity(plan, M, process.metric, process.A, process.B, gamma)
+    return StateVelocity(plan, process.matrix(gamma), process.metric, process.A, process.B, gamma)
 
 
 def compile_projection(plan: Plan, M: Factor) -> VelocityOf:

@@ -20,7 +20,7 @@ from sweepopt.integrate.exact.rows import Face, Rows, face_after, rows_of
 from sweepopt.integrate.record import Run, Step
 from sweepopt.linalg import EPS, Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Plan, Velocity, certify_point, matrix
+from sweepopt.velocity import Plan, Velocity, certify_point
 
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
 PHASES = 100_000  # a minute, with one unknown
@@ -208,7 +208,7 @@ def exact_steps(
             f"scheme 'exact' has no use for solver={shown(plan.solver)}; leave one of them out"
         )
     rows, times = rows_of(process), run.grid.times
-    factor = lru_cache(maxsize=1)(lambda mu: Factor(matrix(process, mu)))
+    factor = lru_cache(maxsize=1)(lambda mu: Factor(process.matrix(mu)))
     largest = 0.0
     nodes = _nodes(rows, process.u0, times, run)
 
