@@ -175,7 +175,8 @@ def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
     """
     parts, named = (C.operands, C.histories) if isinstance(C, MovingSet) else ((), ())
     own = [phi for part in parts for phi in histories_of(part, inside)] or motion(C).histories
-    return [*(named if inside else ()), *own]
+    factors = (one for phi in own for one in getattr(phi, "factors", (phi,)))
+    return [*(named if inside else ()), *factors]
 
 
 # ---- how far it moves ---------------------------------------------------------------------------
