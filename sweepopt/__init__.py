@@ -47,7 +47,16 @@ if TYPE_CHECKING:
         velocity_field,
     )
     from sweepopt.io import list_scenes
-    from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, VectorTable
+    from sweepopt.loads import (
+        Constant,
+        Modulated,
+        Polynomial,
+        Separable,
+        Sine,
+        Table,
+        Triangle,
+        VectorTable,
+    )
     from sweepopt.problem import EvolutionVI, SweepingProcess
     from sweepopt.results import Energy, ErrorBound, Pass, Solution
     from sweepopt.sets import (
@@ -104,6 +113,7 @@ __all__ = [
     "InitialStateWarning",
     "InputError",
     "MissingExtraError",
+    "Modulated",
     "Moving",
     "MovingSet",
     "Newton",

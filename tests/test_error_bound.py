@@ -287,6 +287,43 @@ def test_coupled_rows_that_move_have_a_guaranteed_bound(seed, history, A):
         assert error <= bound <= 4 * error
 
 
+def made_of_rows(kind, random):
+    """A polyhedron with rows that move, and what operations make of it and of a box that moves."""
+    h = [(so.Constant(), random.uniform(0.8, 1.5, 5)), (so.Sine(0.2, 1.3), random.normal(size=5))]
+    P = so.Polyhedron(random.normal(size=(5, 2)), so.Separable(h))
+    waves = [(so.Sine(0.4, 1.1, 0.5), [1.0, -1.0]), (so.Triangle(0.5, 1.7), [0.0, 1.0])]
+    breathes = so.Table([0.0, 0.7, 2.0], [1.0, 0.6, 1.2])
+    box = so.Moving(so.Box([-1.5, -1.2], [1.4, 1.6]), so.Separable(waves), breathes)
+    return {
+        "P & C": lambda: P & box,
+        "C & D": lambda: box & so.Polyhedron([[1.0, 1.0]], [0.7]),
+        "2P + v": lambda: 2 * P + [0.3, -0.2],
+        "v - (P & C)": lambda: [0.1, 0.2] - (P & box),
+        "product": lambda: so.product(-P, box),
+        "on two of three": lambda: so.image([[0, 1], [0, 0], [1, 0]], P & box),
+    }[kind]()
+
+
+@pytest.mark.parametrize("A", [0.3, 0.0])
+@pytest.mark.parametrize(
+    "kind", ["P & C", "C & D", "2P + v", "v - (P & C)", "product", "on two of three"]
+)
+def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_trajectory(kind, A):
+    random = np.random.default_rng(8)
+    C = made_of_rows(kind, random)
+    Q, R = random.normal(size=(2, C.dim, C.dim))
+    A, B = A * (Q @ Q.T + 0.2 * np.eye(C.dim)), R @ R.T + 0.5 * np.eye(C.dim)
+    u0 = np.linalg.solve(B, C.at(0.0).project(random.normal(size=C.dim)))
+    process = so.SweepingProcess(A, B, C, u0)
+    truth = so.solve(process, t_end=2.0, steps=1, scheme="exact")
+    for scheme in FOR_A_ZERO:
+        sol = so.solve(process, t_end=2.0, steps=40, scheme=scheme, on_unstable="ignore")
+        times = divided(sol.t, 8)
+        bound, error = sol.error_bound(), sizes(process, sol(times) - truth.exact(times)).max()
+        assert bound.guaranteed
+        assert 0.0 < error <= bound <= 4 * error
+
+
 def test_a_sampled_bound_says_what_is_not_known():
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     box = so.Box([-1.0, -1.0], [1.0, 1.0])

@@ -24,6 +24,8 @@ HISTORIES = [
     so.Polynomial([0.0, 1.0, -2.0, 0.0, 0.0, 3.0, 0.0, -1.0]),
     so.Triangle(1.0, period=0.3),
     so.Table([0.0, 0.21, 0.8, 1.0], [0.0, 1.0, -1.0, 0.5]),
+    so.Modulated(so.Sine(2.0, period=0.7, phase=0.3), so.Table([0.0, 0.4, 1.0], [0.0, 1.0, -2.0])),
+    so.Modulated(so.Polynomial([1.0, -3.0, 2.0, 0.5, 4.0]), so.Sine(1.0, period=0.4, offset=2.0)),
     Varies(),
 ]
 

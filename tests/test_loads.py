@@ -82,6 +82,27 @@ def test_variations_are_known_in_closed_form(phi, a, b, variation):
         assert phi.breakpoints(a, b).size == 2
 
 
+def test_a_product_of_histories_bounds_its_values_and_their_variation():
+    waves = [so.Sine(1.0, 1.3, 0.4, 0.2), so.Triangle(2.0, 0.9), so.Polynomial([0.5, -1.0, 0.7])]
+    table = so.Table([0.0, 0.4, 1.1, 2.0], [0.0, 1.0, -0.5, 1.5])
+    for phi in (so.Modulated(wave, envelope) for wave in waves for envelope in (table, waves[0])):
+        for a, b in ((0.0, 2.0), (0.3, 0.45), (1.0, 1.7)):
+            t = np.linspace(a, b, 2001)
+            np.testing.assert_array_equal(phi(t), phi.wave(t) * phi.envelope(t))
+            fine = np.abs(np.diff(phi(t))).sum()
+            assert fine <= phi.variation(a, b) <= 10 * fine
+            assert np.abs(phi(t)).max() <= phi.largest(a, b)
+    with pytest.raises(so.InputError, match="the rate of Modulated"):
+        phi.rate()
+    process = so.SweepingProcess(1.0, 1.0, so.Moving(so.Box(-1.0, 1.0), phi), 0.0)
+    with pytest.raises(so.InputError, match="a Modulated history has no closed form"):
+        so.solve(process, t_end=1.0, steps=2, scheme="exact")
+    late = so.Moving(so.Box(-1.0, 1.0), so.Modulated(waves[0], table))
+    process = so.SweepingProcess(1.0, 1.0, late, 0.0)
+    with pytest.raises(so.InputError, match=r"a table of the load .* covers \[0, 2\]"):
+        so.solve(process, t_end=3.0, steps=6)
+
+
 def test_a_table_and_its_load_cannot_be_changed_afterwards():
     times, shape = np.array([0.0, 1.0]), np.array([1.0, 2.0])
     f = Separable([(Table(times, [0.0, 1.0]), shape)])

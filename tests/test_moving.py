@@ -20,6 +20,7 @@ def offsets(t):
 WAVES = so.Separable([(so.Sine(2.0, 1.3), [1.0, -1.0]), (so.Triangle(1.0, 0.9), [0.0, 2.0])])
 FAMILIES = {
     "data": so.Moving(so.Box([-1, -2], [1, 2]), WAVES),
+    "scaled data": so.Moving(BALL, WAVES, so.Sine(0.3, 1.1, offset=1.0)),
     "translated": so.Moving(so.Box([-1, -2], [1, 2]), center=lambda t: [np.sin(t), t]),
     "scaled": so.Moving(BALL, scale=lambda t: 1 + t),
     "both": so.Moving(so.Ellipsoid([0, 0], [[2, 1], [1, 2]]), lambda t: [t, 1.0], lambda t: 2 - t),
@@ -63,9 +64,16 @@ def test_operations_commute_with_time(operation, C):
         same(OPERATIONS[operation](C).at(t), OPERATIONS[operation](C.at(t)))
 
 
-@pytest.mark.parametrize("operation", [name for name in OPERATIONS if "&" not in name])
-def test_sums_multiples_images_and_products_of_translates_by_data_are_such(operation):
-    C = OPERATIONS[operation](FAMILIES["data"])
+OF_SCALED = ("C+v", "v+C", "C-v", "v-C", "rC", "Cr", "-rC", "-C", "image")
+
+
+@pytest.mark.parametrize(
+    "family, operation",
+    [*(("data", name) for name in OPERATIONS if "&" not in name)]
+    + [("scaled data", name) for name in OF_SCALED],
+)
+def test_sums_multiples_images_and_products_of_translates_by_data_are_such(family, operation):
+    C = OPERATIONS[operation](FAMILIES[family])
     process = so.SweepingProcess(
         np.eye(C.dim), np.eye(C.dim), C, C.at(0.0).project(np.zeros(C.dim))
     )

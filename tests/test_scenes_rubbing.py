@@ -45,6 +45,24 @@ def test_the_friction_of_the_sheet_is_in_its_disc_and_against_the_slip_at_every_
     assert (speed > 0.0).any()
 
 
+def test_the_orbiting_load_of_the_sheet_is_data_and_its_bound_close():
+    data = read_toml(find_scene("sheet"))
+    data["domain"]["mesh"]["cells"] = [6, 4]
+    scene = read_scene(data)
+    for t in (0.0, 1.2, 3.5, 9.4):
+        force = 2.5 * min(t / np.pi, 1.0) * np.array([np.cos(2 * t), np.sin(2 * t)])
+        total = scene.process.C.center(t).reshape(-1, 2).sum(axis=0)
+        np.testing.assert_allclose(total, 1.5 * force, atol=1e-13)
+    reference = scene.solve(steps=1440)
+    for scheme, most in (("implicit-euler", 2), ("auto", 6)):
+        solution = scene.solve(scheme=scheme)
+        difference = solution(reference.t) - reference.u
+        error = max(scene.process.metric.norm(e) for e in difference)
+        bound = solution.error_bound()
+        assert bound.guaranteed
+        assert error <= bound <= most * error
+
+
 # The tread block
 
 

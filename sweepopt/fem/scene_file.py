@@ -24,7 +24,7 @@ from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import PICTURES, Scene, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
-from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
+from sweepopt.loads import Constant, Modulated, Sine, Table, Triangle, check_points
 
 EFFECTS: dict[str, type] = {
     "viscosity": effects.Viscosity,
@@ -146,7 +146,8 @@ def read_scene(
     plane and in solids forces and displacements are lists, one for each of x, y and z; if ``f2`` of
     a traction is one number it acts along the outward normal (a pressure is negative). Other
     histories: ``{ waveform = "triangle", amplitude, period }``,
-    ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``.
+    ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``. A waveform
+    may have an ``envelope``, one more history by which it is multiplied.
 
     All effects with their keys, those in brackets may be left out; `sweepopt.fem` has a class of
     each, whose help says what they mean::
@@ -283,7 +284,11 @@ def _history(table: Any, path: str, folder: Path) -> Any:
             return _called(_column, table, path, folder)
         case {"waveform": name, **keys}:
             kind = WAVEFORMS[choice(f"{path}.waveform", name, WAVEFORMS)]
-            return _called(kind, keys, path, folder)
+            envelope = keys.pop("envelope", None)
+            wave = _called(kind, keys, path, folder)
+            if envelope is None:
+                return wave
+            return Modulated(wave, _history(envelope, f"{path}.envelope", folder))
         case {"table": points, **others} if not others:
             return _called(_points, points, f"{path}.table", folder)
     given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)

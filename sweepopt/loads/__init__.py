@@ -10,6 +10,7 @@ from __future__ import annotations
 from sweepopt.loads.history import (
     Constant,
     History,
+    Modulated,
     Piece,
     Polynomial,
     Sine,
@@ -23,6 +24,7 @@ from sweepopt.loads.table import Table, VectorTable, check_points
 __all__ = [
     "Constant",
     "History",
+    "Modulated",
     "Piece",
     "Polynomial",
     "Separable",

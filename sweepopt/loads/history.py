@@ -363,3 +363,78 @@ class Triangle(_Periodic):
         """phi' at times that are no breakpoints."""
         falls = (4.0 * (t / self.period) - 1.0) % 4.0 < 2.0
         return self.amplitude * (4.0 - 8.0 * falls) / self.period
+
+
+@dataclass(frozen=True)
+class Modulated(History):
+    """``phi(t) = envelope(t) wave(t)``, such as a wave whose amplitude grows.
+
+    Parameters
+    ----------
+    wave, envelope : History
+        Of data, such as Sine and Table.
+
+    Raises
+    ------
+    InputError
+        If one of them is no data, or a product itself.
+
+    Examples
+    --------
+    >>> from sweepopt.loads import Table
+    >>> starts = Modulated(Sine(2.0, period=4.0), Table([0.0, 1.0, 8.0], [0.0, 1.0, 1.0]))
+    >>> starts([0.0, 1.0, 3.0]).round(12), starts.breakpoints(0.0, 8.0)
+    (array([ 0.,  2., -2.]), array([1.]))
+    """
+
+    wave: History
+    envelope: History
+
+    def __post_init__(self) -> None:
+        for name, one in (("wave", self.wave), ("envelope", self.envelope)):
+            if not isinstance(one, History) or isinstance(one, Modulated):
+                raise InputError(f"{name} must be data, such as Sine or Table, got {shown(one)}")
+
+    @property
+    def factors(self) -> tuple[History, ...]:
+        """The histories that phi is the product of."""
+        return self.wave, self.envelope
+
+    def __call__(self, t: ArrayLike) -> Any:
+        return self.wave(t) * self.envelope(t)
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Those of both."""
+        return breakpoints((self.wave, self.envelope), a, b)
+
+    def turning_points(self, a: float, b: float) -> Array:
+        """Those of both: between them phi is a product of monotone functions."""
+        return np.union1d(self.wave.turning_points(a, b), self.envelope.turning_points(a, b))
+
+    def variation(self, a: float, b: float) -> float:
+        """A bound of the total variation on [a, b], sum of sup |f| |dg| + sup |g| |df|."""
+        (f, g), (df, dg) = self._between(a, b)
+        return float(f @ dg + g @ df)
+
+    def largest(self, a: float, b: float) -> float:
+        """A bound of |phi| on [a, b]."""
+        f, g = self._between(a, b)[0]
+        return float((f * g).max())
+
+    def _between(self, a: float, b: float) -> tuple[Array, Array]:
+        """The largest sizes of both between turning points, and their changes."""
+        a, b = interval(a, b)
+        ends = np.concatenate([[a], self.turning_points(a, b), [b]])
+        values = np.array([self.wave(ends), self.envelope(ends)])
+        sizes = np.abs(values)
+        return np.maximum(sizes[:, 1:], sizes[:, :-1]), np.abs(np.diff(values))
+
+    def piece(self, a: float, b: float) -> Piece:
+        """None."""
+        raise InputError(
+            "a Modulated history has no closed form of polynomials and sines; use auto"
+        )
+
+    def rate(self) -> History:
+        """None."""
+        return self.slope(0.0)

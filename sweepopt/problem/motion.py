@@ -175,7 +175,8 @@ def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
     """
     parts, named = (C.operands, C.histories) if isinstance(C, MovingSet) else ((), ())
     own = [phi for part in parts for phi in histories_of(part, inside)] or motion(C).histories
-    return [*(named if inside else ()), *own]
+    factors = (one for phi in own for one in getattr(phi, "factors", (phi,)))
+    return [*(named if inside else ()), *factors]
 
 
 # ---- how far it moves ---------------------------------------------------------------------------
@@ -285,7 +286,9 @@ def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
     if moving.shape is None:
         return None
     if moving.offsets is not None:
-        of_offsets = _of_offsets(moving.shape.halfspaces().N, metric)
+        G, _, E, _ = moving.shape.halfspaces()
+        # of equations, 0 beside some unknowns, no distance is known
+        of_offsets = _of_offsets(G, metric) if not E.size else lambda dh: np.inf * dh.any()
         return [Move(moving.name, moving.offsets, of_offsets)]
     # sup |sigma(S, z)| / |z|_A = sup |w|_{A^-1} over S, as |sigma(S, z)| <= sigma(S, +-z)
     extent = 0.0 if moving.scale.constant else _magnitude(moving.shape, metric)

@@ -43,7 +43,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,7 +65,6 @@ from sweepopt.loads import breakpoints
 from sweepopt.problem import Norms, SweepingProcess, motion
 from sweepopt.results.interpolation import CURVES, Nodes, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
-from sweepopt.sets import Polyhedron
 from sweepopt.velocity import Plan
 
 SUMMED = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
@@ -232,8 +231,8 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
         return math.inf
     center = sum(phi * float(norms.dual_B(f)) for phi, f in moving.center.largest(a, b))
     scale = sum(phi * float(np.abs(f).max()) for phi, f in moving.scale.largest(a, b))
-    shape = moving.shape
-    if moving.offsets is not None and isinstance(shape, Polyhedron):
+    shape: Any = moving.shape
+    if moving.offsets is not None:
         h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
         if not np.isfinite(h).all():
             return math.inf

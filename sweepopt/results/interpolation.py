@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import instant
 from sweepopt.errors import InputError
-from sweepopt.loads import History, Separable, VectorTable, breakpoints
+from sweepopt.loads import History, Modulated, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
@@ -84,7 +84,7 @@ def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpol
         if hasattr(history, "piece"):
             # |(phi - p)^(k)| <= max |omega^(k)| max |phi^(4)| / 4!, omega = prod (x - x_g), for
             # k = 0 and 1 (Shadrin, J. Approx. Theory 80, 1995)
-            fourth = _fourth_derivative(history, begin, end) * h**4
+            fourth = _derivative(history, 4, begin, end) * h**4
             errors[:, k] = np.outer(fourth / 24, [NODAL, NODAL_SLOPE])
         elif getattr(history, "variation", None) is not None:
             for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
@@ -119,20 +119,29 @@ def increments(variation: Callable[[float], float], times: np.ndarray) -> np.nda
     return grown
 
 
-def _fourth_derivative(history: Any, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """A bound of |phi^(4)| on each interval; all between two breakpoints have one closed form."""
+def _derivative(history: Any, order: int, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """A bound of |phi^(order)| on each interval; all between two breakpoints have one closed form.
+
+    That of a product is by Leibniz's rule.
+    """
     bounds = np.zeros(len(begin))
-    if getattr(type(history), "piece", None) is History.piece:
+    if isinstance(history, Modulated):
+        for k in range(order + 1):
+            of_wave = _derivative(history.wave, k, begin, end)
+            of_envelope = _derivative(history.envelope, order - k, begin, end)
+            bounds += math.comb(order, k) * of_wave * of_envelope
+        return bounds
+    if order > 1 and getattr(type(history), "piece", None) is History.piece:
         return bounds  # straight
     points = breakpoints([history], begin[0], end[-1])
     for some in np.split(np.arange(len(begin)), np.searchsorted(begin, points)):
         if some.size:
             a, b = begin[some], end[some]
             origin, polynomial, waves = history.piece(float(a[0]), float(b[-1]))
-            bounds[some] = sum(abs(amplitude) * rate**4 for amplitude, rate, _ in waves)
+            bounds[some] = sum(abs(amplitude) * abs(rate) ** order for amplitude, rate, _ in waves)
             reach = np.maximum(abs(a - origin), abs(b - origin))
-            for k, c in enumerate(polynomial[4:], start=4):
-                bounds[some] += abs(c) * math.perm(k, 4) * reach ** (k - 4)
+            for k, c in enumerate(polynomial[order:], start=order):
+                bounds[some] += abs(c) * math.perm(k, order) * reach ** (k - order)
     return bounds
 
 

@@ -34,7 +34,7 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.sets import ROUNDING, ConvexSet, Polyhedron, basis, to_bernstein
+from sweepopt.sets import ROUNDING, Aligned, ConvexSet, Polyhedron, basis, to_bernstein
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
@@ -339,6 +339,11 @@ def _within_rows(
     error, w is in C(t). By weak duality sigma(C(t), -v') <= <h(t), y> for y >= 0, G^T y = -v'.
     """
     S, f = model.shapes[0], model.motion.offsets
+    if isinstance(S, Aligned):  # w = 0 beside its unknowns
+        w, few = np.zeros_like(aim), S.unknowns
+        model = model._replace(shapes=list(S.parts))
+        w[..., few], gaps = _within_rows(model, aim[..., few], directions[..., few], h)
+        return w, gaps
     assert isinstance(S, Polyhedron)
     assert f is not None
     error = h.error @ np.abs([shape for _, shape in f.terms] or np.ones((1, f.dim)))

@@ -289,6 +289,11 @@ class Aligned(ConvexSet):
         away = np.linalg.norm((0 if self.v is None else self.v) - (0 if v is None else v))
         return of_scale + abs(factor) * math.hypot(*known) + float(away)
 
+    def with_offsets(self, h: np.ndarray) -> Aligned:
+        """That of a polyhedron { w : G w <= h } on some of the unknowns, with another h."""
+        part: Any = self.parts[0]
+        return Aligned(part.with_offsets(h), unknowns=self.unknowns, dim=self.dim)
+
     @property
     def anchor(self) -> np.ndarray:
         return self._to(self._joined([S.anchor for S in self.parts]))

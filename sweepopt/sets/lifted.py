@@ -90,12 +90,25 @@ class Lifted(ConvexSet):
         return Features([multipliers, *y], constraints)
 
     def support(self, z: np.ndarray) -> float:
-        E = self.lifted.E
         if self.lifted.F.shape[0]:
             return support_by_program(self, z)
-        # an entry that is nothing but rounding is 0, so that it meets the domain of S
-        inner, rounding = E.T @ z, 2 * ROUNDING * (abs(E.T) @ np.abs(z))
-        return self.part.support(np.where(np.abs(inner) <= rounding, 0.0, inner))
+        return self.part.support(self._seen(z))
+
+    def support_rows(self, rows: np.ndarray) -> np.ndarray:
+        if self.lifted.F.shape[0]:
+            return super().support_rows(rows)
+        return self.part.support_rows(self._seen(rows.T).T)
+
+    def _seen(self, z: np.ndarray) -> np.ndarray:
+        """E^T z; an entry that is nothing but rounding is 0, so that it meets the domain of S."""
+        E, sizes = self._transposed
+        inner, rounding = E @ z, 2 * ROUNDING * (sizes @ np.abs(z))
+        return np.where(np.abs(inner) <= rounding, 0.0, inner)
+
+    @cached_property
+    def _transposed(self) -> tuple[sp.csr_array, sp.csr_array]:
+        E = sp.csr_array(self.lifted.E.T)
+        return E, abs(E)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from functools import partial, wraps
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,7 @@ from sweepopt.errors import InputError, result_of, shown
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
-from sweepopt.sets.balls import Ball
-from sweepopt.sets.base import ConvexSet, Operators, is_vector, nested
+from sweepopt.sets.base import ConvexSet, Operators
 from sweepopt.sets.shapes import Point
 
 
@@ -145,54 +144,6 @@ class MovingSet(Operators):
         return C
 
 
-def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[..., Any]:
-    """The operation, which for sets that move is done at every time.
-
-    Points in their place tell at once whether the operands fit, and the dim of the result. An
-    operation that is linear in translations is done once where these are data.
-    """
-
-    @wraps(operation)
-    def on_all(*operands: Any) -> Any:
-        if not any(isinstance(C, MovingSet) for C in operands):
-            return operation(*operands)
-        if any(isinstance(C, StateDependent) for C in operands):
-            raise InputError(WITHOUT_STATE)
-        if linear and (translated := _translated(operation, operands)) is not None:
-            return translated
-        fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
-        points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
-        at = partial(_operation_at, on_all, fixed)
-        made = MovingSet(at, operation(*points).dim)
-        made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
-        return nested(made, *(C for C in operands if isinstance(C, Operators)))
-
-    return on_all
-
-
-def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Moving | None:
-    """op(S + c(t)) = op(S) + L c(t), with L c from points; None where another thing moves."""
-    shapes, terms = list(operands), []
-    points = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
-    origin = operation(*points).anchor  # not 0 where a vector is added
-    for k, C in enumerate(operands):
-        if not isinstance(C, MovingSet):
-            continue
-        if not (type(C) is Moving and C.scale is None and isinstance(C.center, Separable)):
-            return None
-        shapes[k] = C.shape
-        for phi, f in C.center.terms:
-            image = operation(*points[:k], Point(f), *points[k + 1 :])
-            terms.append((phi, image.anchor - origin))
-    return Moving(operation(*shapes), Separable(terms))
-
-
-def _operation_at(operation: Callable[..., Any], operands: list[Any], t: float) -> ConvexSet:
-    """What an operation makes of its operands at a time."""
-    made: ConvexSet = operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
-    return made
-
-
 class Moving(MovingSet):
     """C(t) = center(t) + scale(t) * shape.
 
@@ -295,7 +246,7 @@ class MovingOffsets(MovingSet):
     Attributes
     ----------
     shape : ConvexSet
-        The member with h = 0.
+        The member with h = 0; also of one on some of the unknowns, the others 0.
     offsets : callable t -> (m,)
         h, a `Separable` for example.
     """

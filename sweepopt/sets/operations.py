@@ -9,7 +9,9 @@ others. Operators of `ConvexSet` call these functions.
 
 from __future__ import annotations
 
-from functools import partial
+import copy
+from collections.abc import Callable, Sequence
+from functools import partial, wraps
 from typing import Any
 
 import numpy as np
@@ -18,12 +20,14 @@ import scipy.sparse as sp
 from sweepopt.checks import HUGE, Matrix, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
+from sweepopt.loads import Constant, Separable
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
 from sweepopt.sets.balls import Ball, BallImage, Ellipsoid
 from sweepopt.sets.base import (
     DENSE,
     Algebra,
     ConvexSet,
+    NoHalfspacesError,
     Operators,
     is_vector,
     nested,
@@ -32,12 +36,126 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.epigraph import epigraph
 from sweepopt.sets.lifted import Intersection, Lifted, Sum
-from sweepopt.sets.moving import MovingSet, over_time
+from sweepopt.sets.moving import (
+    WITHOUT_STATE,
+    Moving,
+    MovingOffsets,
+    MovingSet,
+    StateDependent,
+)
 from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
 
 COLUMN = "column {} of M"
+
+
+def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[..., Any]:
+    """The operation, which for sets that move is done at every time.
+
+    Points in their place tell at once whether the operands fit, and the dim of the result. Where
+    all sets move by data so does the result, if the operation is linear in translations, or if
+    its result has rows, which do not move.
+    """
+
+    @wraps(operation)
+    def on_all(*operands: Any) -> Any:
+        if not any(isinstance(C, MovingSet) for C in operands):
+            return operation(*operands)
+        if any(isinstance(C, StateDependent) for C in operands):
+            raise InputError(WITHOUT_STATE)
+        translated = _translated(operation, operands) if linear else None
+        by_data = translated or _with_rows(operation, operands)
+        if by_data is not None:
+            return by_data
+        fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
+        points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
+        at = partial(_operation_at, on_all, fixed)
+        made = MovingSet(at, operation(*points).dim)
+        made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
+        return nested(made, *(C for C in operands if isinstance(C, Operators)))
+
+    return on_all
+
+
+def _operation_at(operation: Callable[..., Any], operands: list[Any], t: float) -> ConvexSet:
+    """What an operation makes of its operands at a time."""
+    made: ConvexSet = operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
+    return made
+
+
+def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Moving | None:
+    """op(c(t) + r(t) S) = L c(t) + r(t) op(S), with L c from points; r for one set alone.
+
+    None where another thing moves.
+    """
+    shapes, terms, scale = list(operands), [], None
+    alone = sum(isinstance(C, Operators) for C in operands) == 1
+    points = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
+    origin = operation(*points).anchor  # not 0 where a vector is added
+    for k, C in enumerate(operands):
+        if not isinstance(C, MovingSet):
+            continue
+        if not (type(C) is Moving and _translates_by_data(C) and (C.scale is None or alone)):
+            return None
+        shapes[k], scale = C.shape, C.scale
+        for phi, f in C.center.terms if C.center else ():
+            image = operation(*points[:k], Point(f), *points[k + 1 :])
+            terms.append((phi, image.anchor - origin))
+    made = operation(*shapes)
+    if scale is None:
+        return Moving(made, Separable(terms) if terms else None)
+    return Moving(made - origin, Separable([(Constant(), origin), *terms]), scale)
+
+
+def _with_rows(operation: Callable[..., Any], operands: Sequence[Any]) -> MovingOffsets | None:
+    """The rows of what is made of { w : G w <= h(t) }: their offsets are linear in h.
+
+    None where a set has no rows, or another thing moves.
+    """
+    moving = {k: _rows(C) for k, C in enumerate(operands) if isinstance(C, MovingSet)}
+    known = {k: C for k, C in moving.items() if C is not None}
+    if len(known) < len(moving):
+        return None
+    shapes = [known[k].shape if k in known else C for k, C in enumerate(operands)]
+    still = operation(*shapes)
+    if type(still) is Aligned and still.unknowns is not None and still.parts[0] is shapes[-1]:
+        return MovingOffsets(still, known[1].offsets)  # an image on some unknowns
+    if still.dim > DENSE:
+        return None
+    try:
+        G, d = still.halfspaces().inequalities()
+    except NoHalfspacesError:
+        return None
+    terms: list[Any] = [(Constant(), d)]
+    for k, C in known.items():
+        for phi, h in C.offsets.terms:
+            one = operation(*shapes[:k], shapes[k].with_offsets(h), *shapes[k + 1 :])
+            terms.append((phi, one.halfspaces().inequalities()[1] - d))
+    return MovingOffsets(Polyhedron(G, 0 * d), Separable(terms))
+
+
+def _rows(C: MovingSet) -> Any:
+    """C(t) as { w : G w <= h(t) }, where that is data.
+
+    Of c(t) + r(t) S these are r(t) >= 0 and G w <= r(t) d + G c(t).
+    """
+    if isinstance(C, MovingOffsets):
+        return C if isinstance(C.offsets, Separable) else None
+    if not (type(C) is Moving and _translates_by_data(C) and C.dim <= DENSE):
+        return None
+    try:
+        G, d = C.shape.halfspaces().inequalities()
+    except NoHalfspacesError:
+        return None
+    if C.scale is not None:
+        G, d = np.vstack([np.zeros(C.dim), G]), np.append(1.0, d)
+    moved = [(phi, G @ f) for phi, f in (C.center.terms if C.center else ())]
+    return MovingOffsets(Polyhedron(G, 0 * d), Separable([(C.scale or Constant(), d), *moved]))
+
+
+def _translates_by_data(C: Moving) -> bool:
+    return C.center is None or isinstance(C.center, Separable)
 
 
 @partial(over_time, linear=True)

@@ -91,7 +91,7 @@ class Cones:
     def __init__(self, M: Factor, S: ConvexSet, tol: float) -> None:
         rows = blocks(S)
         assert rows is not None
-        self._M, self._tol, self._rows, self.S = M, tol, rows, S
+        self._M, self._tol, self._rows, self.S, self._radii = M, tol, rows, S, radii(S)
         self._transposed = sp.csr_array(rows.E.T)
         m, b, _ = rows.local.entries.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
@@ -104,7 +104,7 @@ class Cones:
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
         """The pair for the linear term residual - M z, from the base z."""
-        g, dim = radii(S), self._M.dim
+        g, dim = self._radii if S is self.S else radii(S), self._M.dim
         assert g is not None
         base, start = z, np.zeros(dim)
         if base is None:

@@ -2,8 +2,9 @@
 
 C(t) is a polyhedron S, also a sum, image, product or intersection of them, at rest or moved by
 center(t) + scale(t) S = { w : N w <= scale(t) d + N center(t) }, or { w : G w <= h(t) }, all of
-time as data. Not in the class are operations on sets that move, r(t) (C(t) + D(t)): functions of
-time, and products of histories.
+time as data. Multiples, translates, products and intersections of such sets that move have such
+rows too, sums and images of them only where they move by center(t): else they are functions of
+time. So are products of histories.
 
 With the rows a active from tau = 0 on, u = u_s - N_a^T q and
 
@@ -203,7 +204,7 @@ def _halfspaces(moving: Motion) -> tuple[np.ndarray, Terms, int]:
     if moving.offsets is None:
         terms = tuple((phi, N @ f) for phi, f in terms)
     else:
-        terms = tuple((phi, np.append(0.0, f)) for phi, f in terms)
+        terms = tuple((phi, np.concatenate([[0.0], f, 0 * e])) for phi, f in terms)
     return N, (*((phi, r * sides) for phi, r in scale), *terms), len(e)
 
 
