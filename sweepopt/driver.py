@@ -503,6 +503,6 @@ def _solution(
         statistics=run.statistics(),
         status=run.status,
         cause=f"{run.divided()} {run.cause}".strip(),
-        exact=run.exact,
+        trajectory=run.exact,
         recorded=recorded if grid.saving.function else None,
     )

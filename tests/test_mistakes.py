@@ -269,3 +269,16 @@ def test_a_set_of_ones_own_is_checked_before_any_step(wrong, message):
     assert so.solve(right, t_end=1.0, steps=4).success
     with pytest.raises(so.InputError, match=message):
         so.solve(other, t_end=1.0, steps=4)
+
+
+def test_a_run_without_an_exact_trajectory_says_which_scheme_has_one():
+    sol = run()
+    with pytest.raises(AttributeError, match=r'only a run with scheme="exact" .* sol\(t\)'):
+        sol.exact(1.0)
+    assert not hasattr(sol, "exact")
+
+
+def test_the_part_of_a_name_behind_its_hyphen_is_enough_for_a_suggestion():
+    for name in ("euler", "Euler", "backward-euler", "implicit_euler"):
+        with pytest.raises(so.InputError, match="did you mean implicit-euler"):
+            run(scheme=name)
