@@ -121,13 +121,6 @@ def as_times(t: Any) -> Any:
     return array if array.ndim else array.item()
 
 
-def read_only(name: str, values: ArrayLike) -> Array:
-    """A vector of finite numbers that nobody can change."""
-    array = entries(name, values)
-    array.setflags(write=False)
-    return array
-
-
 def interval(a: Any, b: Any) -> tuple[float, float]:
     """The ends of [a, b] as floats, in order."""
     a, b = number("a", a), number("b", b)
@@ -205,7 +198,7 @@ class Polynomial(History):
     coefficients: Array
 
     def __init__(self, coefficients: ArrayLike) -> None:
-        object.__setattr__(self, "coefficients", read_only("coefficients", coefficients))
+        object.__setattr__(self, "coefficients", entries("coefficients", coefficients))
 
     def __call__(self, t: ArrayLike) -> Any:
         at = as_times(t)

@@ -178,7 +178,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}{hint}")
     if isinstance(C, Point):
         return Point(M @ C.offsets)
-    columns = sp.csc_array(M)
+    columns = sp.csc_array(M, copy=True)
     columns.eliminate_zeros()
     unknowns, factors = columns.indices, columns.data
     distinct = np.unique(unknowns).size == unknowns.size
