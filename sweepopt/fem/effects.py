@@ -625,7 +625,8 @@ class PointForce(Record):
 class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
-    Breakpoints of the history should be ends of steps. Energies are those of the other unknowns.
+    Breakpoints of the history should be ends of steps. Of the energies of a run only that lost by
+    friction is known, as what is held is no unknown; the others are nan.
 
     Parameters
     ----------

@@ -425,7 +425,7 @@ def build(
     A = sp.csc_array((size, size)) if A is None else A
     with _blaming(effects, parts):
         problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
-    problem.unknowns_digest = space.digest
+    problem.unknowns_digest, problem.moved = space.digest, bool(lifts)
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,

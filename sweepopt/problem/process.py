@@ -127,6 +127,7 @@ class SweepingProcess(Displayed):
     """
 
     _stated_by: tuple[str, ...] = ("C",)
+    moved = False  # whether a body's boundaries are moved by data, whose work is in no load
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
 
     def __init__(
