@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 
 from sweepopt.checks import entries, instant
 from sweepopt.errors import InputError, result_of, shown
-from sweepopt.loads.history import Array, History, breakpoints
+from sweepopt.loads.history import Array, History, NoArithmetic, breakpoints
 
 
-class Separable:
+class Separable(NoArithmetic):
     """A load ``f(t) = sum_k phi_k(t) f_k``.
 
     Parameters

@@ -213,7 +213,8 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
 
 def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     if not isinstance(D, ConvexSet):
-        raise InputError(f"{what}: D must be a set, got {type(D).__name__}")
+        remedy = "a set that a function of t moves is so.Moving(C, center=f)"
+        raise InputError(f"{what}: D must be a set, got {type(D).__name__}; {remedy}")
     require_same_dim(what, C, D)
 
 
