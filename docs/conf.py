@@ -38,5 +38,4 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings have types with shapes and units
 napoleon_numpy_docstring = True
 napoleon_google_docstring = False
-nitpick_ignore = [("py:exc", "PathError")]
 napoleon_use_param = napoleon_use_rtype = napoleon_use_ivar = False

@@ -268,8 +268,9 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
 
 
 def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
-    """A float vector with at least one entry: no set lives in a space of dim 0."""
+    """A float vector with at least one entry, as no set has dim 0, that nobody can change."""
     result = vector(name, value, finite=finite)
+    result.setflags(write=False)
     if not result.size:
         raise InputError(f"{name} must have at least one entry")
     return result
@@ -298,12 +299,17 @@ def is_finite(array: np.ndarray) -> bool:
 
 
 def matrix(name: str, value: Any) -> Matrix:
-    """A finite float matrix with two axes: dense as an ndarray, sparse as CSC."""
+    """A finite float matrix with two axes: dense as an ndarray, sparse as CSC.
+
+    A copy whose entries nobody can change, as what is made of them would not follow.
+    """
     if sp.issparse(value):
-        result = sp.csc_array(value, copy=True)  # its indices may be sorted later
-        result.data = floats(name, result.data, "a matrix of numbers")
+        result = sp.csc_array(value, copy=True)
+        result.sum_duplicates()  # in place, which others do later where it is not done
+        result.data = entry = floats(name, result.data, "a matrix of numbers")
     else:
-        result = floats(name, value, "a matrix of numbers")
+        result = entry = floats(name, value, "a matrix of numbers")
+    entry.setflags(write=False)
     if result.ndim != 2:
         raise InputError(
             f"{name} must have two axes, got shape {result.shape}; one row is [[1.0, 2.0]], a "

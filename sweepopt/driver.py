@@ -61,7 +61,7 @@ from sweepopt.velocity import Plan, compile_projection
 GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
 LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
 STEPS = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
-HOPELESS = 100 * STEPS  # needed by the order of the scheme, from a grid that may be too coarse
+HOPELESS = 100 * STEPS  # by the order of the scheme, from the first grid, which may be too coarse
 
 
 @meaning(
@@ -315,6 +315,7 @@ def _with_bound(run: Callable[[np.ndarray], Solution], times: np.ndarray, error:
     """
     last: float | None = None
     solution: Any = None
+    first = len(times)
     while len(times) <= STEPS:
         try:
             solution = run(times)
@@ -333,18 +334,20 @@ def _with_bound(run: Callable[[np.ndarray], Solution], times: np.ndarray, error:
             )
         if bound <= error:
             return solution
+        factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
         if last is not None and not bound < LEAST_GAIN * last:
             break
         last = float(bound)
-        factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
-        if math.isfinite(bound) and factor * len(times) > HOPELESS:
+        most = max(STEPS, HOPELESS * first / len(times))  # a finer grid is surer of its order
+        if math.isfinite(bound) and factor * len(times) > most:
             break
         times = divided(times, max(math.ceil(min(factor, GROWTH)), 2))
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
         f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "
-        'steps. Ask for less, tighten tol, or take a scheme of second order, or "exact" where C(t) '
-        "has flat faces and the load is data",
+        f"steps (about {factor * len(solution.t):.0e} by the order of the scheme). Ask for less, "
+        'tighten tol, or take a scheme of second order, or "exact" where C(t) has flat faces and '
+        "the load is data",
         solution,
     )
 
@@ -503,6 +506,6 @@ def _solution(
         statistics=run.statistics(),
         status=run.status,
         cause=f"{run.divided()} {run.cause}".strip(),
-        exact=run.exact,
+        trajectory=run.exact,
         recorded=recorded if grid.saving.function else None,
     )

@@ -30,10 +30,16 @@ def shown(value: object) -> str:
 
 
 def suggestion(word: object, known: Iterable[str]) -> str:
-    """The known word that is nearest to an unknown one in any case, as the end of a message."""
-    words = {one.lower(): one for one in known}
-    near = get_close_matches(word.lower(), words, 1) if isinstance(word, str) else []
-    return f"; did you mean {words[near[0]]}?" if near else ""
+    """The known word that is nearest to an unknown one in any case, as the end of a message.
+
+    The part behind a hyphen is enough: "euler" and "backward-euler" are near "implicit-euler".
+    """
+    if not isinstance(word, str):
+        return ""
+    words = {part: one for one in known for part in (one.lower().rpartition("-")[2], one.lower())}
+    forms = word.lower(), word.lower().rpartition("-")[2]
+    near = [words[one] for form in forms for one in get_close_matches(form, words, 1)]
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def result_of(function: Callable[[Any], Any], argument: Any, name: str) -> Any:

@@ -317,6 +317,9 @@ def test_a_prescribed_displacement_is_met_and_its_traction_relaxes():
         exact = 1.5 * np.multiply.outer(ramp(sol.t), block.points[:, 0])
         np.testing.assert_allclose(scene.displacement(sol), exact, atol=1e-13)
         np.testing.assert_allclose(scene.velocity(sol), np.diff(exact, axis=0) / 0.1, atol=1e-12)
+        energy = sol.energy()  # of what is held nothing is known but that it does not rub
+        assert np.isnan([energy.stored[1:], energy.viscous[1:], energy.work[1:]]).all()
+        assert not energy.friction.any()
     at_rest = PrescribedDisplacement("right", ramp, d=0.0)
     assert body(block, [Viscosity(1.0), at_rest]).lifts == ()
     plate = Discretisation(

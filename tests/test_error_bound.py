@@ -501,6 +501,11 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
     with pytest.raises(so.AccuracyError, match="finer grids do not help or take more") as caught:
         run("S01", 20, "midpoint", t_end=1.0, error=1e-18)
     assert caught.value.solution.success
+    # given up once the order of the scheme shows that 1e8 steps would be needed, not after minutes
+    load = so.Separable([(so.Sine(3.0, np.pi), 1.0)])
+    with pytest.raises(so.AccuracyError, match=r"\(about 9e\+07 by the order") as caught:
+        so.solve(block(load), t_end=8.0, steps=100, error=1e-14)
+    assert len(caught.value.solution.t) == 801
 
 
 @pytest.mark.parametrize("part", [so.Ball(0.0, 1.0), so.Box(-1.0, 1.0)])

@@ -281,3 +281,30 @@ def test_a_set_of_ones_own_is_checked_before_any_step(wrong, message):
     assert so.solve(right, t_end=1.0, steps=4).success
     with pytest.raises(so.InputError, match=message):
         so.solve(other, t_end=1.0, steps=4)
+
+
+def test_a_run_without_an_exact_trajectory_says_which_scheme_has_one():
+    sol = run()
+    with pytest.raises(AttributeError, match=r'only a run with scheme="exact" .* sol\(t\)'):
+        sol.exact(1.0)
+    assert not hasattr(sol, "exact")
+
+
+def test_the_part_of_a_name_behind_its_hyphen_is_enough_for_a_suggestion():
+    for name in ("euler", "Euler", "backward-euler", "implicit_euler"):
+        with pytest.raises(so.InputError, match="did you mean implicit-euler"):
+            run(scheme=name)
+
+
+@pytest.mark.parametrize("form", [np.array, sp.csr_array, sp.csc_array])
+def test_what_a_process_is_made_of_cannot_be_changed_entry_by_entry(form):
+    A, u0, load = form(np.eye(2)), np.zeros(2), np.ones(2)
+    process = so.EvolutionVI(A, 2 * A, load=load, dissipation=so.Box([-1, -1], [1, 1]), u0=u0)
+    stored = process.B if form is np.array else process.B.data
+    for array in (stored, process.u0, process.load, process.dissipation.lower):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 1.0
+    for own in (A if form is np.array else A.data, u0, load):  # those of the user are as they were
+        own[...] = 7.0
+    assert process.A[0, 0] == 1.0
+    assert not process.u0.any()

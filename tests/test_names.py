@@ -85,3 +85,12 @@ def test_a_solver_has_one_name_in_solve_in_scenes_and_in_studies():
     with pytest.raises(so.SolverRefusedError, match=r"cvxpy has no solver 'SCSS' here; it has"):
         so.solve(process, t_end=1.0, steps=2, solver="cvxpy:scss")
     assert so.scene("pipe", changes={"solve.solver": "cvxpy:scs"}).solver == "cvxpy:scs"
+
+
+def test_every_error_and_warning_of_the_library_can_be_imported_from_it():
+    kinds = {
+        name
+        for name, one in vars(so.errors).items()
+        if isinstance(one, type) and issubclass(one, (so.SweepoptError, so.SweepoptWarning))
+    }
+    assert kinds - {"_RunError"} <= set(so.__all__)

@@ -9,6 +9,7 @@ import pytest
 from meshes import annulus, square, write_msh
 from test_golden import SCENE_TEXT
 
+import sweepopt as so
 from sweepopt import Constant, InputError, Sine, Table, Triangle
 from sweepopt.fem import (
     BodyForce,
@@ -156,3 +157,23 @@ def read(path, value):
 
 def read_history(history):
     return read("effects.traction", {"on": "left", "history": history})
+
+
+def test_functions_of_time_are_called_at_the_start_of_a_scene_that_lists_its_times():
+    seen = []
+
+    def late(x, t):
+        seen.append(t)
+        return 1.0 + 0.0 * x[0]
+
+    class Own:
+        def contribute(self, space):
+            return so.fem.Contribution(loads=[lambda t: np.full(space.dim, 0.01 * late([0.0], t))])
+
+    section = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "left")
+    effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", late), so.fem.YieldStress(late)]
+    scene = so.fem.body(section, [*effects, Own()], steps=np.linspace(2.0, 3.0, 3))
+    scene.solve()
+    assert min(seen) == 2.0
+    with pytest.raises(so.InputError, match=r"steps\[1\] is nan"):
+        so.fem.body(section, effects, steps=[0.0, np.nan])

@@ -92,15 +92,15 @@ class Yield(Brief):
     slip: SlipLaw | None = None
     histories: Sequence[Callable[[float], Any]] = ()
 
-    def check(self) -> None:
-        """Refuse numbers that do not belong to these rows; a user may have written them."""
+    def check(self, start: float) -> None:
+        """Refuse numbers, at the start, that do not belong to these rows, as users write them."""
         rows = self.rows
         choice("shape", self.shape, ("ball", "half-line"))
         choice("rows.where", rows.where, ("trace", "nodes", "gradient", "internal"))
         blocks, rest = divmod(rows.E.shape[0], count("rows.block", rows.block))
         if rest:
             raise InputError(f"rows.E has {rows.E.shape[0]} rows, no blocks of {rows.block}")
-        g = self.g(0.0) if callable(self.g) else self.g
+        g = self.g(start) if callable(self.g) else self.g
         for name, given in (("g", g), ("rows.weight", rows.weight)):
             values = vector(name, given, blocks if np.ndim(given) else None, finite=False)
             if (values < 0).any():
@@ -197,7 +197,7 @@ class Contact(Brief):
         Arc length along the boundaries, one after the other; nan where there is no curve.
     weight, bound : ndarray, shape (m,)
         w_k (a length, an area or a volume) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound
-        that moves that of t = 0.
+        that moves that at the start.
     """
 
     unknown: Indices
@@ -288,7 +288,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         return np.asarray(_thresholds(law, place, N, t)[k] / weight[k])
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
-    threshold = _thresholds(law, place, N, 0.0)
+    threshold = _thresholds(law, place, N, body.start)
     moves = law.history is not None or in_time(law.g) or in_time(law.p)
     if law.slip is not None and (moves or not np.isfinite(threshold).all()):
         raise InputError(

@@ -625,7 +625,8 @@ class PointForce(Record):
 class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
-    Breakpoints of the history should be ends of steps. Energies are those of the other unknowns.
+    Breakpoints of the history should be ends of steps. Of the energies of a run only that lost by
+    friction is known, as what is held is no unknown; the others are nan.
 
     Parameters
     ----------
@@ -800,11 +801,11 @@ class YieldStress(Record):
             (g,) = self.values_at(place, t)
             return np.asarray((g * share).sum(axis=1))
 
-        keep = (np.diff(E.indptr[::block]) > 0) & (moves | (bound(0.0) > 0))
+        keep = (np.diff(E.indptr[::block]) > 0) & (moves | (bound(body.start) > 0))
         if not keep.any():
             return Contribution()
         chosen = Rows(E[np.repeat(keep, block)], block, weight[keep], "gradient")
-        g: Any = (lambda t: bound(t)[keep]) if moves else bound(0.0)[keep]
+        g: Any = (lambda t: bound(t)[keep]) if moves else bound(body.start)[keep]
         return Contribution(yields=[Yield(chosen, g)])
 
     def stress(self, body: Discretisation) -> Stress | None:

@@ -185,10 +185,17 @@ def in_time(datum: Any) -> bool:
         arguments = inspect.signature(datum).parameters.values()
     except (TypeError, ValueError):  # of a built-in function
         return False
-    return (
-        sum(one.default is one.empty and one.kind <= one.POSITIONAL_OR_KEYWORD for one in arguments)
-        == 2
-    )
+    given = [
+        one.name
+        for one in arguments
+        if one.default is one.empty and one.kind <= one.POSITIONAL_OR_KEYWORD
+    ]
+    if len(given) > 2 or given[1:] == ["y"]:
+        raise InputError(
+            f"must be a function of the points as one array, such as lambda x: 1 + x[0] * x[1], or "
+            f"of them and the time, lambda x, t: t * x[0]; got a function of {', '.join(given)}"
+        )
+    return len(given) == 2
 
 
 class Coefficient(NamedTuple):
@@ -228,10 +235,10 @@ class Coefficient(NamedTuple):
         elif isinstance(datum, Mapping):
             for key, value in datum.items():
                 number(f"{self.name}.{key}", value, *limits)
-        elif isinstance(datum, str):
+        elif isinstance(datum, str) or callable(datum):
             with at_path(f"{self.name} "):
-                Formula(datum)
-        elif not callable(datum):
+                in_time(datum)
+        else:
             number(self.name, datum, *limits)
 
     def parts(self, datum: Any, components: int) -> list[Any]:
@@ -269,7 +276,8 @@ class Coefficient(NamedTuple):
         if isinstance(datum, Mapping):
             self._fill(values, datum, groups or {})
             return values
-        moves = in_time(datum)
+        with at_path(f"{self.name} "):
+            moves = in_time(datum)
         if moves and t is None:
             raise InputError(
                 f"{self.name} does not move here; leave out t (a function takes the points alone, "
@@ -285,8 +293,8 @@ class Coefficient(NamedTuple):
             raise InputError(f"{self.name}{dot}{error}") from error
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(
-                f"{self.name} must turn points of shape (d, ...) into numbers of shape (...); "
-                f"{error}"
+                f"{self.name} must turn points x of shape (d, ...) into numbers of shape (...), as "
+                f"lambda x: 1 + x[0] * x[1] does; {error}"
             ) from error
         limits = self
         if isinstance(datum, str):  # one that divides by 0 does not mean inf

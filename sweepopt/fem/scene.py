@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike
 
 from sweepopt.checks import (
     at_path,
+    axes,
     choice,
     count,
+    entries,
     listed,
     matrix,
     number,
@@ -80,7 +82,7 @@ class Scene(Displayed):
     left_out : tuple of str
         A sentence for each thing the scene does not name and the problem therefore does not have.
     t_end, steps
-        Duration and number of steps; None if the scene does not say.
+        Duration, and number of steps or their times; None if the scene does not say.
     scheme, solver, tol
         Arguments of `sweepopt.solve`.
     units : {"dimensionless", "SI"}
@@ -351,7 +353,8 @@ def body(
     u0 : array_like of shape (dim,) or Initial, optional
         Initial values of the unknowns, or where they are from; zero by default.
     t_end, steps, scheme, solver, tol, units, title
-        Kept in the scene. Histories must cover [0, t_end].
+        Kept in the scene. Histories must cover [0, t_end], or the times that `steps` lists;
+        functions of time are called at the start once, to see what they return.
 
     Returns
     -------
@@ -400,6 +403,8 @@ def build(
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
     space, effects = _composed(space, effects)
+    steps = settings["steps"]
+    vars(space)["start"] = float(entries("steps", steps)[0]) if axes(steps) else 0.0
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
@@ -425,7 +430,7 @@ def build(
     A = sp.csc_array((size, size)) if A is None else A
     with _blaming(effects, parts):
         problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
-    problem.unknowns_digest = space.digest
+    problem.unknowns_digest, problem.moved = space.digest, bool(lifts)
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
@@ -554,20 +559,21 @@ def _contribution(
         label = f"{type(effect).__name__}: {label}"
     with at_path(f"{label}."):
         part = _valid_contribution(
-            result_of(effect.contribute, space, f"{label}.contribute"), space.dim
+            result_of(effect.contribute, space, f"{label}.contribute"), space
         )
     for name in ("history", "moved"):
         if (history := getattr(effect, name, None)) is not None and t_end is not None:
             with at_path(f"{label}.{name}."):
-                for t in (0.0, t_end):
+                for t in (space.start, t_end):
                     history(t)
     return part
 
 
-def _valid_contribution(part: Any, dim: int) -> Contribution:
+def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
     """What an effect gives, if it is finite and fits the body; a user may have written it."""
     if not isinstance(part, Contribution):
         raise InputError(f"contribute must return a so.fem.Contribution, got {shown(part)}")
+    dim = space.dim
     sizes = {dim, dim + count("internal", part.internal, 0)}
 
     def fits(name: str, size: int) -> None:
@@ -595,13 +601,13 @@ def _valid_contribution(part: Any, dim: int) -> Contribution:
     for k, (phi, f) in enumerate(loads):
         if not callable(phi):
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
-        fits(f"loads[{k}]", vector(f"loads[{k}]", f(0.0) if callable(f) else f).size)
+        fits(f"loads[{k}]", vector(f"loads[{k}]", f(space.start) if callable(f) else f).size)
     for k, one in enumerate(part.yields):
         if not isinstance(one, Yield):
             raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
         with at_path(f"yields[{k}]."):
             fits("rows.E", matrix("rows.E", one.rows.E).shape[1])
-            one.check()
+            one.check(space.start)
     return replace(part, loads=loads)
 
 

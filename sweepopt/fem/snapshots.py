@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
-SIZE = "size of the displacement"
+SIZE = "magnitude |u| of the displacement"
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 
 

@@ -114,6 +114,7 @@ class Discretisation(Brief):
     kind: str = "antiplane"
     held: Mapping[str, str] = field(default_factory=dict)
     turned: Sequence[str] = ()
+    start = 0.0  # of the scene that is built on it: when functions of time may be called
 
     def __post_init__(self) -> None:
         choice("element", self.element, ELEMENTS)

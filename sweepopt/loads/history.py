@@ -39,7 +39,20 @@ class Piece(NamedTuple):
     waves: tuple[tuple[float, float, float], ...] = ()
 
 
-class History:
+class NoArithmetic:
+    """Says how a sum or a multiple is stated, as data."""
+
+    def _refuse(self, _: Any = None) -> Any:
+        raise InputError(
+            "loads and histories are not added or multiplied: a sum is one "
+            "so.Separable([(phi, f), (psi, g)]), a factor goes into f, an amplitude or a table's "
+            "values, and a set that a load moves is so.Moving(C, center=load)"
+        )
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __neg__ = _refuse
+
+
+class History(NoArithmetic):
     """Data of the library: monotone between turning points, straight unless a class says more.
 
     A user's own history is any function of time; one with `variation` and `breakpoints` too gets
@@ -121,13 +134,6 @@ def as_times(t: Any) -> Any:
     return array if array.ndim else array.item()
 
 
-def read_only(name: str, values: ArrayLike) -> Array:
-    """A vector of finite numbers that nobody can change."""
-    array = entries(name, values)
-    array.setflags(write=False)
-    return array
-
-
 def interval(a: Any, b: Any) -> tuple[float, float]:
     """The ends of [a, b] as floats, in order."""
     a, b = number("a", a), number("b", b)
@@ -205,7 +211,7 @@ class Polynomial(History):
     coefficients: Array
 
     def __init__(self, coefficients: ArrayLike) -> None:
-        object.__setattr__(self, "coefficients", read_only("coefficients", coefficients))
+        object.__setattr__(self, "coefficients", entries("coefficients", coefficients))
 
     def __call__(self, t: ArrayLike) -> Any:
         at = as_times(t)

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import instant
+from sweepopt.checks import entries, instant
 from sweepopt.errors import InputError, result_of, shown
-from sweepopt.loads.history import Array, History, breakpoints, read_only
+from sweepopt.loads.history import Array, History, NoArithmetic, breakpoints
 
 
-class Separable:
+class Separable(NoArithmetic):
     """A load ``f(t) = sum_k phi_k(t) f_k``.
 
     Parameters
@@ -63,7 +63,7 @@ class Separable:
                     f"terms[{k}][0] must be callable, a history like so.Sine(1.0, 2.0) before "
                     f"its direction, got {shown(history)}"
                 )
-            columns.append(read_only(f"terms[{k}][1]", shape))
+            columns.append(entries(f"terms[{k}][1]", shape))
             if columns[k].size != columns[0].size:
                 raise InputError(
                     f"terms[{k}][1] has {columns[k].size} entries, terms[0][1] has "

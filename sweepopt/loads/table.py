@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, matrix, number, with_checks
+from sweepopt.checks import HUGE, TIME_SLACK, entries, matrix, number, with_checks
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
-from sweepopt.loads.history import Array, History, Piece, as_times, interval, read_only
+from sweepopt.loads.history import Array, History, Piece, as_times, interval
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,7 +161,6 @@ class VectorTable(Table):
     def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
         rows = matrix("values", values)
         t, _ = check_points("times", times, rows[:, 0] if rows.size else rows)
-        rows.setflags(write=False)
         object.__setattr__(self, "times", t)
         object.__setattr__(self, "values", rows)
 
@@ -200,7 +199,7 @@ class VectorTable(Table):
 
 def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     """The points of a table as read-only vectors; `name` is what errors call its times."""
-    t, phi = read_only(name, times), read_only("values", values)
+    t, phi = entries(name, times), entries("values", values)
     if t.size < 2:
         raise InputError(f"{name} must have two entries or more; for one value, use Constant")
     if phi.shape != t.shape:

@@ -18,7 +18,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, agree, at_path, axes, meaning, number, symmetric, takes, vector
+from sweepopt.checks import (
+    Matrix,
+    agree,
+    at_path,
+    axes,
+    entries,
+    meaning,
+    number,
+    symmetric,
+    takes,
+    vector,
+)
 from sweepopt.display import Displayed, Rows, brief
 from sweepopt.errors import (
     IndefiniteError,
@@ -116,6 +127,7 @@ class SweepingProcess(Displayed):
     """
 
     _stated_by: tuple[str, ...] = ("C",)
+    moved = False  # whether a body's boundaries are moved by data, whose work is in no load
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
 
     def __init__(
@@ -129,7 +141,7 @@ class SweepingProcess(Displayed):
                 f"C must be a set or a moving set, got {shown(C)}; an interval is so.Box(-1, 1), "
                 "one that moves so.Moving(so.Box(-1, 1), center=f), any other so.MovingSet(t -> C)"
             )
-        self.u0 = vector("u0", u0)
+        self.u0 = entries("u0", u0)
         agree(**sizes, C=C.dim, u0=self.u0.size)
         self.dim = self.u0.size
         self.C = C.starting_at(self.u0) if isinstance(C, StateDependent) else C
@@ -533,7 +545,7 @@ class EvolutionVI(SweepingProcess):
             )
         if callable(load):
             takes("load", load, "t")
-        self.load = load if callable(load) or load is None else vector("load", load)
+        self.load = load if callable(load) or load is None else entries("load", load)
         if (size := getattr(self.load, "dim" if callable(load) else "size", None)) is not None:
             sizes["load"] = size
         agree(**sizes, u0=vector("u0", u0).size)

@@ -14,6 +14,9 @@ from sweepopt.problem import SweepingProcess
 class Energy(NamedTuple):
     """Energies from the start to each time, shape (n+1,); dissipated + stored = work + O(mu).
 
+    Of a body with a prescribed displacement only `friction` is known: the others are nan after the
+    start, as what is held and moved is no unknown.
+
     Attributes
     ----------
     stored : ndarray
@@ -42,12 +45,12 @@ class Energy(NamedTuple):
 
 def energy_of(process: SweepingProcess, t: np.ndarray, states: States) -> Energy:
     """Energies of a run of which all steps are kept; forces are taken at the middle of each."""
-    mu = np.diff(t)
+    mu, known = np.diff(t), np.nan if process.moved else 1.0
     powers = np.zeros((3, len(t)))  # viscous, friction, work; none before the start
     for i in range(len(mu)):
         z = states.velocity(i)
         C = process.set_at(float(t[i] + 0.5 * mu[i]), states.u(i) + 0.5 * mu[i] * z)
         work = C.anchor @ z
-        powers[:, i + 1] = z @ (process.A @ z), C.support(-z) + work, work
-    stored = np.array([0.5 * u @ process.times_B(u) for u in map(states.u, range(len(t)))])
+        powers[:, i + 1] = known * z @ (process.A @ z), C.support(-z) + work, known * work
+    stored = np.array([0.5 * known * u @ process.times_B(u) for u in map(states.u, range(len(t)))])
     return Energy(stored - stored[0], *np.cumsum(powers * np.append(0.0, mu), axis=1))

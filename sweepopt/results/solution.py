@@ -94,10 +94,10 @@ class Solution(Displayed):
         Which step failed and why, when the run stopped at it.
     recorded : list or None
         What the function given as `save` returned, one entry a step.
-    exact : Trajectory or None
-        With ``scheme="exact"`` the trajectory itself: u at any time to rounding, its `switches`.
     passes : tuple of Pass
         All passes of adaptive steps, the last one is the run; empty for steps given beforehand.
+    trajectory : Trajectory or None
+        `exact`, if there is one.
     """
 
     process: SweepingProcess
@@ -108,8 +108,8 @@ class Solution(Displayed):
     status: Status
     cause: str = ""
     recorded: list[Any] | None = None
-    exact: Trajectory | None = None
     passes: tuple[Pass, ...] = ()
+    trajectory: Trajectory | None = None
     loaded: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
@@ -200,6 +200,16 @@ class Solution(Displayed):
             known = ", ".join(fields) or "none; give fields= to the process"
             raise InputError(f"there is no field {shown(name)}; its fields are {known}")
         return Field(self.u[:, fields[name]], self.velocity[:, fields[name]])
+
+    @property
+    def exact(self) -> Trajectory:
+        """With ``scheme="exact"`` the trajectory: u at any time to rounding, its `switches`."""
+        if self.trajectory is None:
+            raise AttributeError(
+                'only a run with scheme="exact" has an exact trajectory, and no file keeps it; '
+                "sol(t) interpolates any run"
+            )
+        return self.trajectory
 
     @property
     def complete(self) -> bool:

@@ -290,7 +290,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}{hint}")
     if isinstance(C, Point):
         return Point(M @ C.offsets)
-    columns = sp.csc_array(M)
+    columns = sp.csc_array(M, copy=True)
     columns.eliminate_zeros()
     unknowns, factors = columns.indices, columns.data
     distinct = np.unique(unknowns).size == unknowns.size
@@ -325,7 +325,8 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
 
 def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     if not isinstance(D, ConvexSet):
-        raise InputError(f"{what}: D must be a set, got {type(D).__name__}")
+        remedy = "a set that a function of t moves is so.Moving(C, center=f)"
+        raise InputError(f"{what}: D must be a set, got {type(D).__name__}; {remedy}")
     require_same_dim(what, C, D)
 
 

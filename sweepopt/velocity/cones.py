@@ -61,7 +61,7 @@ def blocks(S: ConvexSet) -> Rows | None:
     g = radii(S)
     if g is None or len({part.dim // part.offsets.size for part in S.form().parts}) > 1:
         return None
-    E, m = sp.csr_array(S.form().E.T), g.size
+    E, m = sp.csr_array(S.form().E.T, copy=True), g.size
     b = E.shape[0] // m
     E.eliminate_zeros()
     local = Local.of(E, b)
