@@ -36,7 +36,7 @@ from sweepopt.fem.effects import (
     Viscosity,
     YieldStress,
 )
-from sweepopt.fem.fields import Coefficient, Profile, SlipTable, SlipWeakening
+from sweepopt.fem.fields import Coefficient, Profile, SlipWeakening
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
@@ -68,7 +68,6 @@ __all__ = [
     "Profile",
     "Rows",
     "Scene",
-    "SlipTable",
     "SlipWeakening",
     "Traction",
     "Viscosity",

@@ -42,7 +42,7 @@ from sweepopt.fem.stress import plastic_strain_of, stress_of
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, folder_at
 from sweepopt.linalg import is_semidefinite
-from sweepopt.loads import Constant, History, Separable, breakpoints
+from sweepopt.loads import History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
@@ -586,13 +586,9 @@ def _valid_contribution(part: Any, dim: int) -> Contribution:
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
             raise InputError(f"{name} must be a list, [...], got {shown(getattr(part, name))}")
-    if any(isinstance(load, History) for load in part.loads):
+    if not all(isinstance(load, tuple) and len(load) == 2 for load in part.loads):
         raise InputError("loads must hold pairs of a history and a vector: loads=[(history, f)]")
-    loads = [
-        load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
-        for load in part.loads
-    ]
-    for k, (phi, f) in enumerate(loads):
+    for k, (phi, f) in enumerate(part.loads):
         if not callable(phi):
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
         fits(f"loads[{k}]", vector(f"loads[{k}]", f(0.0) if callable(f) else f).size)
@@ -602,7 +598,7 @@ def _valid_contribution(part: Any, dim: int) -> Contribution:
         with at_path(f"yields[{k}]."):
             fits("rows.E", matrix("rows.E", one.rows.E).shape[1])
             one.check()
-    return replace(part, loads=loads)
+    return part
 
 
 def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
