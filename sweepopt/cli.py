@@ -152,7 +152,8 @@ def _effects(options: argparse.Namespace) -> int:
     from sweepopt.fem.scene_file import parse_changes
 
     path, changes = find_scene(options.scene), parse_changes(options.set)
-    print(compare_effects(path, changes=changes, without=options.without, steps=options.steps))
+    table = compare_effects(path, changes=changes, without=options.without, steps=options.steps)
+    print(table.to_string(float_format="{:.1e}".format))
     return DONE
 
 

@@ -18,7 +18,7 @@ with brought_by("fem"):
     import skfem  # noqa: F401
 
 from sweepopt.fem.contact import Contact, Rows, Yield
-from sweepopt.fem.effect_costs import EffectCost, EffectCosts, compare_effects
+from sweepopt.fem.effect_costs import compare_effects
 from sweepopt.fem.effects import (
     BodyForce,
     Contribution,
@@ -53,8 +53,6 @@ __all__ = [
     "Dashpot",
     "Discretisation",
     "Effect",
-    "EffectCost",
-    "EffectCosts",
     "Eigenstrain",
     "Elasticity",
     "Foundation",
