@@ -298,4 +298,6 @@ FIELDS = {
 }
 """Pictures of a field at times, which can be animated."""
 DRAWN = {"contact": contact, "space_time": space_time, "profiles": profiles, "loop": loop}
-"""The others of PICTURES."""
+"""The others."""
+PICTURES = (*FIELDS, *DRAWN)
+"""What a scene can ask for."""

@@ -27,6 +27,7 @@ from sweepopt.checks import (
 )
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, result_of, shown
+from sweepopt.fem import output, pictures
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
@@ -49,19 +50,6 @@ from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
 from sweepopt.velocity import solvers
 
 UNITS = ("dimensionless", "SI")
-PICTURES = (
-    "displacement",
-    "surface",
-    "contact",
-    "space_time",
-    "profiles",
-    "arrows",
-    "flow",
-    "stress",
-    "yielding",
-    "loop",
-)
-"""What a scene can ask for; pictures.py draws it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -222,11 +210,10 @@ class Scene(Displayed):
         InputError
             If the picture does not fit the scene.
         """
-        from sweepopt.fem import output, pictures
-
         names = [picture] if picture else pictures.pictures_of(self)
         if not names:
-            raise InputError(f"picture: none fits the scene of itself; name one of {PICTURES}")
+            known = ", ".join(pictures.PICTURES)
+            raise InputError(f"picture: none fits the scene of itself; name one of {known}")
         return pictures.draw(output.Report(self, solution), names[0])
 
     @with_checks
@@ -238,8 +225,6 @@ class Scene(Displayed):
         MissingExtraError
             If matplotlib, xarray or h5netcdf is not installed.
         """
-        from sweepopt.fem import output, pictures
-
         folder = folder_at("folder", as_path("folder", folder))
         drawn = [f"{name}.png" for name in pictures.pictures_of(self)]
         pictures.write(output.Report(self, solution, name=folder.name), folder, drawn)
@@ -247,7 +232,7 @@ class Scene(Displayed):
 
     @with_checks
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
-        """Write a run as an animation of 50 even times, or at most 50 kept ones if not all were.
+        """Write a run as an animation of at most 50 kept steps that end at even times.
 
         Parameters
         ----------
@@ -266,8 +251,6 @@ class Scene(Displayed):
         InputError
             If the picture does not fit the scene, or ffmpeg is not there for an MP4.
         """
-        from sweepopt.fem import output, pictures
-
         return pictures.animate(output.Report(self, solution), path, picture)
 
 

@@ -20,8 +20,9 @@ from sweepopt.fem import effects
 from sweepopt.fem.fields import Profile, SlipWeakening
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid
+from sweepopt.fem.pictures import PICTURES
 from sweepopt.fem.plasticity import Plasticity
-from sweepopt.fem.scene import PICTURES, Scene, build, method
+from sweepopt.fem.scene import Scene, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
