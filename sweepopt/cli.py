@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sweepopt import __version__
 from sweepopt.display import as_lines
@@ -25,7 +25,6 @@ from sweepopt.driver import planned, run_over
 from sweepopt.errors import (
     Status,
     SweepoptError,
-    SweepoptWarning,
     UnstableStepError,
     brought_by,
 )
@@ -259,17 +258,9 @@ def _require(*extras: str) -> None:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Our warnings as one line without a source file."""
+    """Warnings as one line without a source file."""
     with warnings.catch_warnings():
-        shown = warnings.showwarning
-
-        def show(message: Any, category: type[Warning], *place: Any) -> None:
-            if issubclass(category, SweepoptWarning):
-                _say(f"warning: {message}")
-            else:
-                shown(message, category, *place)
-
-        warnings.showwarning = show  # type: ignore[assignment]
+        warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
         yield
 
 

@@ -383,11 +383,8 @@ class Discretisation(Brief):
     def interpolate(self, function: Any, name: str = "function") -> Array:
         """Nodal values of a function of x (shape (d, N)) at the unknowns, shape (dim,).
 
-        Of a vector the components, a list of data, or a function that returns all of them. The name
-        is what errors call it.
+        Of a vector a list of data, one for each component. The name is what errors call it.
         """
-        if self.components > 1 and callable(function):
-            function = list(function(self.points.T))
         coefficient, full = Coefficient(name), np.zeros(self.nodes.size)
         for dofs, datum in zip(
             self.nodes, coefficient.parts(function, self.components), strict=True
