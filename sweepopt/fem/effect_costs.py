@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 def compare_effects(
     source: str | Path | Mapping[str, Any],
     *,
-    folder: str | Path = ".",
     changes: Mapping[str, Any] | None = None,
     without: Sequence[str] = (),
     steps: int = 5,
@@ -31,7 +30,7 @@ def compare_effects(
 
     Parameters
     ----------
-    source, folder, changes, without
+    source, changes, without
         As for `read_scene`.
     steps : int
         The first steps of the run are taken, of the scene's length; the time of one is the median.
@@ -59,8 +58,8 @@ def compare_effects(
     import pandas as pd
 
     steps = count("steps", steps)
-    whole = read_scene(source, folder=folder, changes=changes, without=without)
-    data, folder, _ = load_scene(source, folder)
+    whole = read_scene(source, changes=changes, without=without)
+    data, folder, _ = load_scene(source)
     data = changed(data, changes or {})
     costs = {"all effects": _cost(whole, steps)}
     for label in remaining(list(effect_tables(data["effects"])), without):

@@ -33,13 +33,14 @@ from sweepopt.fem.effects import (
     Contribution,
     Effect,
     Force,
+    Kinematics,
+    Stress,
     released_matrices,
     total,
 )
 from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
-from sweepopt.fem.spaces import Discretisation, boundary_names
-from sweepopt.fem.stress import plastic_strain_of, stress_of
+from sweepopt.fem.spaces import BODY, Discretisation, boundary_names
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, folder_at
 from sweepopt.linalg import is_semidefinite
@@ -169,9 +170,32 @@ class Scene(Displayed):
         branches, and effects of your own that have `stress`, at times t of the run, by default
         those of the solution. None where strains do not tell it: with a yield stress or a tensor,
         and in plane stress with an eigenstrain.
+
+        Notes
+        -----
+        The deviator is the sum of what effects add to it, at the points of strains,
+        s = 2 mu (dev e(u) - p) + 2 eta dev e(u'), with u' of the step that ends there; its size is
+        sqrt(3/2) |s|, in antiplane shear |s| / sqrt(2).
         """
         self.require_run(solution)
-        return stress_of(self, solution, solution.t if t is None else np.atleast_1d(t))
+        if not (laws := self.stress_laws()):
+            return None
+        t, body = solution.t if t is None else np.atleast_1d(t), self.discretisation
+        u, states = self.displacement(solution, t), solution(t)
+        rate = self.velocity(solution)[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
+        total = np.zeros((len(u), 1, 1, 1))
+        for law, at in laws:
+            total = total + law(Kinematics(u, rate, states[:, at]))
+        shares = body.place("stress", (BODY,), strains=True).shares
+        mean = np.einsum("cp,kcps->kcs", shares, total)
+        return np.linalg.norm(mean, axis=2) * np.sqrt(0.5 if body.components == 1 else 1.5)
+
+    def stress_laws(self) -> list[tuple[Stress, slice]]:
+        """The parts of the stress with their internal unknowns; none if one is not known."""
+        each = zip(self.effects, self.internal, strict=True)
+        laws = [(one.stress(self.discretisation), at) for one, at in each if hasattr(one, "stress")]
+        known = [(law, at) for law, at in laws if law is not None]
+        return known if len(known) == len(laws) else []
 
     def plastic_strain(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells); None without p.
@@ -179,7 +203,14 @@ class Scene(Displayed):
         At times t of the run, by default those of the solution.
         """
         self.require_run(solution)
-        return plastic_strain_of(self, solution.u if t is None else solution(np.atleast_1d(t)))
+        u = solution.u if t is None else solution(np.atleast_1d(t))
+        each = zip(self.effects, self.internal, strict=True)
+        parts = [
+            one.plastic_strain(self.discretisation, u[:, at])
+            for one, at in each
+            if hasattr(one, "plastic_strain")
+        ]
+        return sum(parts) if parts else None
 
     def _full(self, u: Any, values: Callable[[History], Any]) -> Array:
         space = self.discretisation
