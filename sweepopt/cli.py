@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sweepopt import __version__
 from sweepopt.display import as_lines
@@ -25,7 +25,6 @@ from sweepopt.driver import planned, run_over
 from sweepopt.errors import (
     Status,
     SweepoptError,
-    SweepoptWarning,
     UnstableStepError,
     brought_by,
 )
@@ -99,12 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--scheme", help=f"auto, {', '.join(schemes.SCHEMES)}")
     run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
-    for flag, kind, words in (
-        ("--animate", "gif", "a GIF"),
-        ("--mp4", "mp4", "an MP4 (by ffmpeg)"),
-    ):
-        words = f"write an animation too, as {words}"
-        run.add_argument(flag, dest="animate", action="store_const", const=kind, help=words)
+    run.add_argument("--animate", action="store_true", help="write an animation too, as a GIF")
     words = "bound the error of the whole run too, in the norm of A: takes longer than the run"
     run.add_argument("--bound", action="store_true", help=words)
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
@@ -136,7 +130,7 @@ def _add_changes(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", metavar="SCENE", help=known)
     for name, value, words in (
         ("--set", "PATH=VALUE", "another value (TOML), such as effects.friction.g=0.5"),
-        ("--without", "EFFECT", "leave an effect out: friction, traction[0], traction.NAME"),
+        ("--without", "EFFECT", "leave an effect out: friction, traction[0]"),
     ):
         words = f"{words}; may be repeated"
         parser.add_argument(name, action="append", default=[], metavar=value, help=words)
@@ -157,7 +151,8 @@ def _effects(options: argparse.Namespace) -> int:
     from sweepopt.fem.scene_file import parse_changes
 
     path, changes = find_scene(options.scene), parse_changes(options.set)
-    print(compare_effects(path, changes=changes, without=options.without, steps=options.steps))
+    table = compare_effects(path, changes=changes, without=options.without, steps=options.steps)
+    print(table.to_string(float_format="{:.1e}".format))
     return DONE
 
 
@@ -174,7 +169,6 @@ def _run(options: argparse.Namespace) -> int:
     from sweepopt.fem import pictures, read_scene
     from sweepopt.fem.output import Report
     from sweepopt.fem.scene_file import parse_changes
-    from sweepopt.plot import writer_of
 
     path = find_scene(options.scene)
     given = {name: getattr(options, name) for name in ("steps", "scheme", "solver", "tol")}
@@ -182,8 +176,7 @@ def _run(options: argparse.Namespace) -> int:
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
     drawn = [f"{name}.png" for name in pictures.pictures_of(scene)]
     if options.animate:
-        drawn.append(f"{pictures.animated(scene)}.{options.animate}")
-        writer_of(Path(drawn[-1]))
+        drawn.append(f"{pictures.animated(scene)}.gif")
     folder = folder_at("--out", options.out or Path("results") / path.stem)
     process, started = scene.process, clock.perf_counter()
     solving = SolveOptions(
@@ -265,17 +258,9 @@ def _require(*extras: str) -> None:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Our warnings as one line without a source file."""
+    """Warnings as one line without a source file."""
     with warnings.catch_warnings():
-        shown = warnings.showwarning
-
-        def show(message: Any, category: type[Warning], *place: Any) -> None:
-            if issubclass(category, SweepoptWarning):
-                _say(f"warning: {message}")
-            else:
-                shown(message, category, *place)
-
-        warnings.showwarning = show  # type: ignore[assignment]
+        warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
         yield
 
 

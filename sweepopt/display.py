@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 Rows = Iterable[tuple[str, object]]
-COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
+COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#0072B2")
 """Told apart with every common colour vision (Okabe and Ito)."""
 
 

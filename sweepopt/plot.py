@@ -91,7 +91,8 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
         If the path cannot be written, or ffmpeg is not there for an MP4.
     """
     path, figure, moving = writable("path", path), new_figure((8.0, 4.5)), list[Any]()
-    panels, t = _panels(solution, figure), frame_times(solution)
+    panels = _panels(solution, figure)
+    t = solution.t[1:][frame_steps(solution)]
     if paths := len(panels) == 2:
         u, _, force, sets = _along(solution, t)
         outlines = [C.outline() for C in sets]
@@ -114,19 +115,14 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
 
 def even_steps(solution: Solution, most: int) -> np.ndarray:
     """At most so many of the kept steps, by their numbers among them; their ends are even times."""
-    return np.unique(np.searchsorted(solution.t[1:], _even_times(solution, most + 1)[1:]))
+    times = np.linspace(solution.t[0], solution.t[-1], most + 1)[1:]
+    # one that misses a node by rounding is that node
+    return np.unique(np.searchsorted(solution.t[1:], times_inside(times, solution.t)))
 
 
-def frame_times(solution: Solution) -> np.ndarray:
-    """Even times of the frames of an animation; kept ones where not all steps were kept."""
-    if solution.complete:
-        return _even_times(solution, MOST_FRAMES)
-    return solution.t[1:][even_steps(solution, MOST_FRAMES)]
-
-
-def _even_times(solution: Solution, count: int) -> np.ndarray:
-    """So many even times; one that misses a node by rounding is that node."""
-    return times_inside(np.linspace(solution.t[0], solution.t[-1], count), solution.t)
+def frame_steps(solution: Solution) -> np.ndarray:
+    """Those of the frames of an animation."""
+    return even_steps(solution, MOST_FRAMES)
 
 
 def _panels(solution: Solution, figure: Any) -> Any:

@@ -4,17 +4,53 @@ import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import sweepopt as so
-from sweepopt.study.problems import Spiral, problem
+from sweepopt.study.problems import PROBLEMS, Problem, problem
 
 DATA = Path(__file__).parent / "data"
 GRIDS = (101, 211, 503, 1009)
 REFERENCE = json.loads((DATA / "reference_cases.json").read_text())["cases"]
 SETS = tuple(REFERENCE)
+
+
+@dataclass(frozen=True)
+class Spiral:
+    """speed t cos(rate t + phase): a history that declares a bound of its variation."""
+
+    speed: float
+    rate: float
+    phase: float
+
+    def __call__(self, t: Any) -> Any:
+        return self.speed * np.asarray(t) * np.cos(self.rate * np.asarray(t) + self.phase)
+
+    def variation(self, a: float, b: float) -> float:
+        """At most int speed (1 + rate t) dt."""
+        return self.speed * (b - a) * (1 + self.rate * (a + b) / 2)
+
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        """None."""
+        return np.empty(0)
+
+
+class Pulled(Problem):
+    """A disc pulled along a spiral."""
+
+    def process(self):
+        terms = [
+            (Spiral(0.8, 2.0, phase), e)
+            for phase, e in zip((0.0, -np.pi / 2), np.eye(2), strict=True)
+        ]
+        C = so.Moving(so.Ball([0.0, 0.0], 1.0), so.Separable(terms))
+        return so.SweepingProcess(self.A, self.B, C, self.u0)
+
+
+PROBLEMS["B14"] = Pulled("B14", "", 6.0, 1.5 * np.eye(2), np.zeros((2, 2)), np.zeros(2), {}, [])
 
 
 @dataclass(frozen=True, eq=False)

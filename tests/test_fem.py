@@ -376,10 +376,10 @@ def test_meshes_of_other_formats_are_read(tmp_path):
     triangles = meshio.Mesh(
         section.doflocs[:, : section.nvertices].T,
         [("triangle", section.t.T), ("line", section.facets[:, section.boundaries["outer"]].T)],
-        cell_data={"medit:ref": [np.full(section.nelements, 3), np.full(18, 7)]},
+        cell_data={"gmsh:physical": [np.full(section.nelements, 3), np.full(18, 7)]},
     )
-    meshio.write(tmp_path / "ring.mesh", triangles)
-    mesh = read_mesh(tmp_path / "ring.mesh")
+    meshio.write(tmp_path / "ring.vtu", triangles)
+    mesh = read_mesh(tmp_path / "ring.vtu")
     assert mesh.nelements == section.nelements
     assert {name: len(edges) for name, edges in mesh.boundaries.items()} == {"7": 18}
     assert {name: len(cells) for name, cells in mesh.subdomains.items()} == {"3": mesh.nelements}

@@ -31,7 +31,7 @@ HOMES = {
     "xarray": ("results",),
     "h5netcdf": ("results",),
     "tqdm": ("integrate",),
-    "pandas": ("study",),
+    "pandas": ("fem", "study"),
     "plotly": ("study",),
     "threadpoolctl": ("study",),
     "distributed": ("study",),

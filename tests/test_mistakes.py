@@ -73,7 +73,6 @@ RESULTS = (
     "scene",
     "fem.EFFECTS",
     "fem.Effect",
-    "fem.EffectCosts",
 )
 
 

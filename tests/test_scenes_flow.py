@@ -76,7 +76,7 @@ def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corner_stays_at_rest
 
 @SUDDEN
 def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula():
-    mesh = {"sizes": [5e-3, 5e-3], "cells": [8, 8], "origin": [-5e-3, 0.0]}
+    mesh = {"sizes": [5e-3, 5e-3], "cells": [8, 8], "points": ["x - 5e-3", "y"]}
     assert not steady("square_pipe", 45e3, element="P2", mesh=mesh)[1].any()
     assert steady("square_pipe", 50e3, element="P2", mesh=mesh)[1].any()
     scene, z = steady("pipe", 2 * PEAK, element="P2", refinements=1)

@@ -18,7 +18,7 @@ with brought_by("fem"):
     import skfem  # noqa: F401
 
 from sweepopt.fem.contact import Contact, Rows, Yield
-from sweepopt.fem.effect_costs import EffectCost, EffectCosts, compare_effects
+from sweepopt.fem.effect_costs import compare_effects
 from sweepopt.fem.effects import (
     BodyForce,
     Contribution,
@@ -36,7 +36,7 @@ from sweepopt.fem.effects import (
     Viscosity,
     YieldStress,
 )
-from sweepopt.fem.fields import Coefficient, Profile, SlipTable, SlipWeakening
+from sweepopt.fem.fields import Coefficient, Profile, SlipWeakening
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
@@ -53,8 +53,6 @@ __all__ = [
     "Dashpot",
     "Discretisation",
     "Effect",
-    "EffectCost",
-    "EffectCosts",
     "Eigenstrain",
     "Elasticity",
     "Foundation",
@@ -68,7 +66,6 @@ __all__ = [
     "Profile",
     "Rows",
     "Scene",
-    "SlipTable",
     "SlipWeakening",
     "Traction",
     "Viscosity",

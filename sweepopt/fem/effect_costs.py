@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,84 +15,34 @@ from sweepopt.errors import InputError
 from sweepopt.fem.scene import Scene
 from sweepopt.fem.scene_file import changed, effect_tables, load_scene, read_scene, remaining
 
-
-class EffectCost(NamedTuple):
-    """A scene, or the scene without one effect.
-
-    Attributes
-    ----------
-    scene : str
-        "all effects" or "without ..."
-    unknowns, nonsmooth_unknowns : int
-    sets : str
-        How many sets bound forces, and their shapes; empty without any.
-    nonzeros_A, nonzeros_B : int
-        0 where there is no matrix.
-    path : str
-        How a step is solved (`Plan.path`); linear: one linear solve and no solver.
-    solvers : str
-        Which ones took the steps; empty where the path is linear.
-    seconds : float
-        Wall time of a step, the median.
-    certificate : float
-        The worst relative one of the steps.
-    """
-
-    scene: str
-    unknowns: int
-    nonsmooth_unknowns: int
-    sets: str
-    nonzeros_A: int
-    nonzeros_B: int
-    path: str
-    solvers: str
-    seconds: float
-    certificate: float
-
-
-class EffectCosts(tuple[EffectCost, ...]):
-    """Rows that print themselves as a table."""
-
-    needed: dict[str, str]
-    """Effects that the scene cannot be without, and why."""
-
-    def __str__(self) -> str:
-        names = ("", "unknowns", "nonsmooth", "sets", "nnz A", "nnz B", "path", "solver")
-        heads = (*names, "s/step", "certificate")
-        rows = [
-            [*(str(one) or "-" for one in row[:-2]), f"{row.seconds:.2g}", f"{row.certificate:.0e}"]
-            for row in self
-        ]
-        table = [list(heads), *rows]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join(f"{one:<{width}}" for one, width in zip(row, widths, strict=True)).rstrip()
-            for row in table
-        ]
-        return "\n".join([*lines, *(f"needs {name}: {why}" for name, why in self.needed.items())])
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 def compare_effects(
     source: str | Path | Mapping[str, Any],
     *,
-    folder: str | Path = ".",
     changes: Mapping[str, Any] | None = None,
     without: Sequence[str] = (),
     steps: int = 5,
-) -> EffectCosts:
-    """The scene, and the scene without each of its effects that it can be without.
+) -> DataFrame:
+    """The scene, and the scene without each of its effects that it can be without, as a table.
 
     Parameters
     ----------
-    source, folder, changes, without
+    source, changes, without
         As for `read_scene`.
     steps : int
         The first steps of the run are taken, of the scene's length; the time of one is the median.
 
     Returns
     -------
-    EffectCosts
-        A tuple of rows, which prints itself as a table.
+    pandas DataFrame
+        A row "all effects", then one "without ..." for each effect, with the columns ``unknowns``,
+        ``nonsmooth_unknowns``, ``sets`` (how many bound forces, and their shapes), ``nonzeros_A``
+        and ``nonzeros_B`` (0 where there is no matrix), ``path`` (how a step is solved,
+        `Plan.path`), ``solvers`` (which ones took the steps; none where the path is linear),
+        ``seconds`` (of a step, the median) and ``certificate`` (the worst relative one).
 
     Raises
     ------
@@ -100,48 +51,43 @@ def compare_effects(
 
     Examples
     --------
-    >>> rows = compare_effects("square", steps=2)
-    >>> [(row.scene, row.nonsmooth_unknowns, row.path) for row in rows[::3]]
-    [('all effects', 9, 'proportional'), ('without friction', 0, 'linear')]
+    >>> table = compare_effects("square", steps=2)
+    >>> table.path["all effects"], table.path["without friction"]
+    ('proportional', 'linear')
     """
+    import pandas as pd
+
     steps = count("steps", steps)
-    whole = read_scene(source, folder=folder, changes=changes, without=without)
-    data, folder, _ = load_scene(source, folder)
+    whole = read_scene(source, changes=changes, without=without)
+    data, folder, _ = load_scene(source)
     data = changed(data, changes or {})
-    rows, needed = [_cost("all effects", whole, steps)], {}
+    costs = {"all effects": _cost(whole, steps)}
     for label in remaining(list(effect_tables(data["effects"])), without):
         name = label.removeprefix("effects.")
-        try:
+        with suppress(InputError):  # the scene cannot be without it
             scene = read_scene(data, folder=folder, without=[*without, name])
-        except InputError as error:
-            needed[name] = str(error)
-        else:
-            rows.append(_cost(f"without {name}", scene, steps))
-    costs = EffectCosts(rows)
-    costs.needed = needed
-    return costs
+            costs[f"without {name}"] = _cost(scene, steps)
+    return pd.DataFrame.from_dict(costs, orient="index")
 
 
-def _cost(name: str, scene: Scene, steps: int) -> EffectCost:
+def _cost(scene: Scene, steps: int) -> dict[str, Any]:
     assert scene.t_end is not None  # read_scene has both
     assert scene.steps is not None
     taken = min(steps, scene.steps)
     solution = scene.solve(t_end=scene.t_end * taken / scene.steps, steps=taken)
     plan, stats, process = solution.plan, solution.stats, solution.process
-    linear = plan.path == "linear"
     nonzeros = [0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B)]
-    return EffectCost(
-        scene=name,
-        unknowns=plan.unknowns,
-        nonsmooth_unknowns=plan.nonsmooth_unknowns,
-        sets=_sets(scene),
-        nonzeros_A=nonzeros[0],
-        nonzeros_B=nonzeros[1],
-        path=plan.path,
-        solvers="" if linear else ", ".join(sorted(set(stats["solver"].tolist()))),
-        seconds=float(np.median(stats["seconds"])),
-        certificate=float(stats["relative"].max()),
-    )
+    return {
+        "unknowns": plan.unknowns,
+        "nonsmooth_unknowns": plan.nonsmooth_unknowns,
+        "sets": _sets(scene),
+        "nonzeros_A": nonzeros[0],
+        "nonzeros_B": nonzeros[1],
+        "path": plan.path,
+        "solvers": ", ".join(sorted(set(stats["solver"].tolist()) - {"linear"})),
+        "seconds": np.median(stats["seconds"]),
+        "certificate": stats["relative"].max(),
+    }
 
 
 def _sets(scene: Scene) -> str:

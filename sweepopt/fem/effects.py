@@ -27,7 +27,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from skfem.helpers import dot
+from skfem.helpers import dot, inner
 
 from sweepopt.checks import choice, listed, matrix, number, vector
 from sweepopt.display import Brief, by_parts
@@ -38,7 +38,7 @@ from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_name
 from sweepopt.loads import History
 
 Phi = Callable[[float], Any]
-Force = tuple[Phi, Array | Callable[[float], Array]] | Callable[[float], Array]
+Force = tuple[Phi, Array | Callable[[float], Array]]
 
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
 
@@ -51,8 +51,8 @@ class Contribution(Brief):
     ----------
     A, B : sparse, shape (dim, dim), or None
         Part of the matrix of u' or of u. With internal unknowns these follow those of the body.
-    loads : sequence of (history, f) or callable t -> (dim,)
-        Terms ``phi(t) f`` or ``f(t)`` of the load, f an array of shape (dim,) or a function of t.
+    loads : sequence of (history, f)
+        Terms ``phi(t) f`` of the load, f an array of shape (dim,) or a function of t.
     yields : sequence of Yield
         Parts of the dissipation: rows of the velocity and the sets D_k that bound their forces.
     internal : int
@@ -277,8 +277,6 @@ class Elasticity(Record):
         Shear modulus (Pa), >= 0, of antiplane shear. A mapping covers every subdomain.
     E, nu : as kappa, instead of kappa
         Young's modulus (Pa), > 0, and Poisson's ratio, in (-1, 0.5).
-    lam, mu : as kappa, instead of kappa
-        Lame's parameters (Pa).
     tensor : array_like, shape (m, m), instead of kappa
         Moduli (Pa) in Voigt's order, as in `Viscosity`: of an orthotropic material, say; in plane
         stress those of the plane.
@@ -297,20 +295,12 @@ class Elasticity(Record):
     kappa: Datum | None = None
     E: Datum | None = None
     nu: Datum | None = None
-    lam: Datum | None = None
-    mu: Datum | None = None
     tensor: ArrayLike | None = None
 
-    data = (
-        Coefficient("kappa", 0.0),
-        YOUNG,
-        POISSON,
-        Coefficient("lam"),
-        Coefficient("mu", 0.0),
-    )
+    data = Coefficient("kappa", 0.0), YOUNG, POISSON
 
     def __post_init__(self) -> None:
-        _one_of(self, ("kappa",), ("E", "nu"), ("lam", "mu"), ("tensor",))
+        _one_of(self, ("kappa",), ("E", "nu"), ("tensor",))
         super().__post_init__()
 
     def contribute(self, body: Discretisation) -> Contribution:
@@ -329,16 +319,12 @@ class Elasticity(Record):
         mu: Any = None
         if self.kappa is not None:
             if body.components > 1:
-                raise InputError("kappa is for antiplane shear; give E and nu, or lam and mu")
+                raise InputError("kappa is for antiplane shear; give E and nu")
             (mu,) = self.values_at(place)
         elif self.E is not None:
             E, nu = self.values_at(place)
             _check_compressible(nu)
             lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
-        elif self.lam is not None:
-            lam, mu = self.values_at(place)
-            if (3 * lam + 2 * mu).min() < 0:
-                raise InputError("lam must be at least -2/3 mu everywhere")
         return lam, mu
 
 
@@ -354,7 +340,7 @@ class Dashpot(Record):
         Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume, Pa s along a bar,
         N s/m of a node of a lumped model), >= 0.
     along : str
-        "all", "n" (normal), "t" (tangents), "x", "y" or "z".
+        "all", "x", "y" or "z".
 
     Raises
     ------
@@ -456,7 +442,7 @@ class Friction(Record):
     axes : sequence of float, optional
         ``J(v) = int g |(a_x v_x, a_y v_y, ...)|``: ellipses in place of discs.
     slip : SlipLaw, optional
-        phi(s), such as `SlipWeakening` and `SlipTable`: the bound is g phi(s) where the tangential
+        phi(s), such as `SlipWeakening`: the bound is g phi(s) where the tangential
         displacement has the length s. The problem is then quasi-variational: see `StateDependent`.
 
     Raises
@@ -863,7 +849,7 @@ class MaxwellBranch:
     ----------
     tau : float
         Relaxation time (s), > 0.
-    kappa, E, nu, lam, mu, tensor
+    kappa, E, nu, tensor
         Moduli of the spring, as for `Elasticity`.
 
     Raises
@@ -881,8 +867,6 @@ class MaxwellBranch:
     kappa: Datum | None = None
     E: Datum | None = None
     nu: Datum | None = None
-    lam: Datum | None = None
-    mu: Datum | None = None
     tensor: ArrayLike | None = None
 
     def __post_init__(self) -> None:
@@ -1013,21 +997,13 @@ def _restricted(body: Discretisation, on: Sequence[str], x: Any) -> Any:
 def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v of the components along a direction, of all degrees of freedom."""
     place, along = body.place("on", effect.on, nodal=body.lumped), effect.along
-    (c,), facets = effect.values_at(place), hasattr(place.basis, "normals")
-    known = ["all"]
-    if body.components > 1:
-        known += [*(["n", "t"] if facets else []), *AXES[: body.components]]
-    choice("along", along, known)
+    (c,) = effect.values_at(place)
+    choice("along", along, ["all", *(AXES[: body.components] if body.components > 1 else "")])
 
-    def form(u: Any, v: Any, w: Any) -> Any:
-        if body.components == 1:
-            return c * u * v
+    def form(u: Any, v: Any, _: Any) -> Any:
         if along in AXES:
-            return c * u[AXES.index(along)] * v[AXES.index(along)]
-        if along == "all":
-            return c * dot(u, v)
-        normal = dot(u, w.n) * dot(v, w.n)
-        return c * (normal if along == "n" else dot(u, v) - normal)
+            u, v = u[AXES.index(along)], v[AXES.index(along)]
+        return c * inner(u, v)
 
     return place.matrix(form)
 

@@ -62,14 +62,8 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
     axes = np.eye(d)
     for facets, what in held:
         nodes, normals = normals_at(body, facets)
-        for letter in "xyz"[:d] if what == "all" else what:
-            if letter == "n":
-                add(nodes, normals)
-            elif letter == "t":
-                for axis in axes:
-                    add(nodes, axis - (normals @ axis)[:, None] * normals)
-            else:
-                add(nodes, axes["xyz".index(letter)])
+        for letter in what:
+            add(nodes, normals if letter == "n" else axes["xyz".index(letter)])
     fixed = count.copy()
     if body.turned and d > 1:
         nodes, normals = normals_at(body, body.facets("turned", body.turned)[0])

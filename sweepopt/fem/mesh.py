@@ -41,8 +41,6 @@ MESHES = {
 """Meshes, and what their facets are, by what meshio calls their cells; the first in a file."""
 SIDES = (("left", "right"), ("bottom", "top"), ("front", "back"))
 """Names of the ends of a grid along x, y and z."""
-GROUPS = ("gmsh:physical", "medit:ref")
-"""What meshio calls the number of an element's group; 0 is none."""
 MOST_CELLS = 10_000_000
 """Of a mesh that is refined or made: ten times those of the largest runs that were measured."""
 CELLS = {1: "intervals", 2: "triangles", 3: "tetrahedra"}
@@ -53,7 +51,6 @@ OUTPUT = threading.Lock()
 def grid(
     sizes: Sequence[float],
     cells: Sequence[int],
-    origin: Sequence[float] | None = None,
     points: Sequence[str] | None = None,
 ) -> skfem.Mesh:
     """An interval, a rectangle of triangles or a box of tetrahedra in equal cells, or its image.
@@ -64,10 +61,9 @@ def grid(
         Lengths along x, y and z.
     cells : sequence of int, shape (d,)
         How many along each; a rectangle is cut in two triangles, a box in six tetrahedra.
-    origin : sequence of float, shape (d,), optional
-        The least x, y and z; 0 by default.
     points : sequence of str, shape (d,), optional
-        Where its points go: formulas in x, y and z, which grade or bend it.
+        Where its points, from 0 to the sizes, go: formulas in x, y and z, which move, grade or bend
+        it.
 
     Returns
     -------
@@ -88,19 +84,16 @@ def grid(
     [[0.0, 0.0625, 0.25, 0.5625, 1.0]]
     """
     sizes, cells = listed("sizes", sizes), listed("cells", cells)
-    start = (0.0,) * len(sizes) if origin is None else listed("origin", origin)
-    if not len(sizes) == len(cells) == len(start) <= len(SIDES):
+    if not len(sizes) == len(cells) <= len(SIDES):
         raise InputError(
-            f"sizes, cells and origin must have one entry for each of x, y, z, got {len(sizes)}, "
-            f"{len(cells)} and {len(start)}"
+            f"sizes and cells must have one entry for each of x, y, z, got {len(sizes)} and "
+            f"{len(cells)}"
         )
     counts = [count(f"cells[{k}]", n) for k, n in enumerate(cells)]
     if prod(counts) * factorial(len(counts)) > MOST_CELLS:
         raise InputError(f"cells: {shown(cells)} make more than {MOST_CELLS:.0e} cells; take fewer")
-    lines = []
-    for k, (a, size, n) in enumerate(zip(start, sizes, counts, strict=True)):
-        a = number(f"origin[{k}]", a)
-        lines.append(np.linspace(a, a + number(f"sizes[{k}]", size, 0.0, strict=True), n + 1))
+    lengths = [number(f"sizes[{k}]", size, 0.0, strict=True) for k, size in enumerate(sizes)]
+    lines = [np.linspace(0.0, size, n + 1) for size, n in zip(lengths, counts, strict=True)]
     mesh = (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)[len(lines) - 1].init_tensor(*lines)
     boundaries = {}
     for k, line in enumerate(lines):
@@ -295,11 +288,10 @@ def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
         if kind in sets and not name.startswith("gmsh:")
     }
     names = {tuple(np.ravel(value)): name for name, value in raw.field_data.items()}
-    for key in GROUPS:
-        numbers = np.abs(raw.cell_data_dict.get(key, {}).get(kind, []))
-        for tag in np.setdiff1d(numbers, 0).tolist():
-            name = names.get((tag, dimension), str(tag))
-            groups.setdefault(name, np.flatnonzero(numbers == tag))
+    numbers = np.abs(raw.cell_data_dict.get("gmsh:physical", {}).get(kind, []))
+    for tag in np.setdiff1d(numbers, 0).tolist():  # 0 is no group
+        name = names.get((tag, dimension), str(tag))
+        groups.setdefault(name, np.flatnonzero(numbers == tag))
     return groups
 
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from sweepopt.results import Energy, Solution
 
 SUMMARY = "summary.json"
-RESULTS = ("*.nc", "*.png", "*.gif", "*.mp4", "vtu/*.series", "vtu/*.vtu")
-"""Files of a run; those that the summary lists are removed by the next run in the same folder."""
 VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra10")}
 """Cells of VTK files on meshes of dimension 1, 2 and 3."""
 SI = {
@@ -85,13 +83,9 @@ class Report:
         """The space of the scene."""
         return self.scene.discretisation
 
-    def at(self, name: str, t: np.ndarray) -> Any:
-        """What the scene calls so ("displacement", "stress") at times."""
-        return getattr(self.scene, name)(self.solution, t)
-
-    def steps_at(self, t: Any) -> Any:
-        """The steps that times are in; what belongs to steps is that of the one that ends there."""
-        return np.maximum(np.searchsorted(self.solution.t, t) - 1, 0)
+    def at(self, name: str, steps: np.ndarray) -> Any:
+        """What the scene calls so ("displacement", "stress") at the ends of steps; -1 is t = 0."""
+        return getattr(self.scene, name)(self.solution, self.solution.t[steps + 1])
 
     @cached_property
     def slip(self) -> Slip | None:
@@ -178,20 +172,8 @@ def largest(report: Report) -> dict[str, Any]:
 
 
 def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
-    """Write `summary_of` a run, and remove files of the run before that this one has not written.
-
-    A picture or a VTU file of that run would otherwise pass for one of this run. Only files that
-    the summary of that run lists are removed; what else is in the folder is somebody's own.
-    """
-    try:
-        listed = json.loads((folder / SUMMARY).read_bytes())["files"]
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):  # none, or none of ours
-        listed = []
-    earlier = {file for file in listed if isinstance(file, str)} if type(listed) is list else set()
+    """Write `summary_of` a run."""
     _write_json(folder / SUMMARY, summary_of(report, files))
-    for path in [path for pattern in RESULTS for path in folder.glob(pattern)]:
-        if path.is_file() and path.relative_to(folder).as_posix() in earlier.difference(files):
-            path.unlink()
 
 
 Variables = dict[str, tuple[str, str, Any, str]]
@@ -301,19 +283,18 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         mesh.cell_data = {"material": [material]}
     folder = folder / "vtu"
     io.folder_at("folder", folder)
-    nodes = np.append(0, even_steps(report.solution, MOST_FRAMES - 1) + 1)
-    t = report.solution.t[nodes]
-    velocity = report.scene.velocity(report.solution)[report.steps_at(t)]
-    in_points = {"displacement": report.at("displacement", t), "velocity": velocity}
-    in_cells = {name: report.at(name, t) for name in ("stress", "plastic_strain")}
-    files = [folder / f"step_{i:06d}.vtu" for i in nodes]
+    steps = np.append(-1, even_steps(report.solution, MOST_FRAMES - 1))
+    velocity = report.scene.velocity(report.solution)[np.maximum(steps, 0)]
+    in_points = {"displacement": report.at("displacement", steps), "velocity": velocity}
+    in_cells = {name: report.at(name, steps) for name in ("stress", "plastic_strain")}
+    files = [folder / f"step_{i:06d}.vtu" for i in steps + 1]
     for k, path in enumerate(files):
         mesh.point_data = {name: in_space(x[k]) for name, x in in_points.items()}
         mesh.cell_data |= {name: [x[k]] for name, x in in_cells.items() if x is not None}
         with io.replacing(path) as part:
             mesh.write(part, file_format="vtu", compression="zlib")
     series = folder / "solution.vtu.series"
-    times = zip(files, t.tolist(), strict=True)
+    times = zip(files, report.solution.t[steps + 1].tolist(), strict=True)
     entries = [{"name": path.name, "time": time} for path, time in times]
     _write_json(series, {"file-series-version": "1.0", "files": entries})
     return [series, *files]

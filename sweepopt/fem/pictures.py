@@ -16,7 +16,6 @@ from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
-from sweepopt.fem.stress import stress_laws
 from sweepopt.io import replacing, writable
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, even_steps, new_figure, spread
 
@@ -35,7 +34,7 @@ def refusal(scene: Scene, name: str) -> str:
     one = contact is not None and contact.unknown.ndim == 1
     along = "friction along a boundary", one and contact is not None and contact.on_curve
     flows = any(getattr(effect, "flows", False) for effect in scene.effects)
-    tells = bool(stress_laws(scene))
+    tells = bool(scene.stress_laws())
     plastic = any(hasattr(effect, "plastic_strain") for effect in scene.effects)
     needs = {
         "displacement": ("a body in the plane or along a line", dimension < 3),
@@ -298,4 +297,6 @@ FIELDS = {
 }
 """Pictures of a field at times, which can be animated."""
 DRAWN = {"contact": contact, "space_time": space_time, "profiles": profiles, "loop": loop}
-"""The others of PICTURES."""
+"""The others."""
+PICTURES = (*FIELDS, *DRAWN)
+"""What a scene can ask for."""

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -47,14 +47,6 @@ takes minutes."""
 ZZ = -2 / np.sqrt(6)  # of e_zz in the second deviator
 
 
-class Isotropic(Effect, Protocol):
-    """An elasticity whose lam and mu are known."""
-
-    def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
-        """lam and mu at the points of a quadrature; mu is None of a tensor."""
-        ...
-
-
 @dataclass(frozen=True)
 class Plasticity(Record):
     """``J(p') = int sqrt(2/3) sigma_y |p'|`` of plastic strains p: von Mises's yield stress.
@@ -78,7 +70,7 @@ class Plasticity(Record):
 
     Attributes
     ----------
-    elasticity : Isotropic or None
+    elasticity : Effect or None
         That of the scene, which sets it: `Elasticity` without a tensor, or one of your own.
 
     Raises
@@ -97,7 +89,7 @@ class Plasticity(Record):
     Hi: Datum = 0.0
     eta: Datum = 0.0
     on: Sequence[str] = (BODY,)
-    elasticity: Isotropic | None = field(default=None, init=False)
+    elasticity: Any = field(default=None, init=False)
     data = COEFFICIENTS
 
     def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:

@@ -29,41 +29,30 @@ from sweepopt.checks import (
 )
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, result_of, shown
+from sweepopt.fem import output, pictures
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
     Effect,
     Force,
+    Kinematics,
+    Stress,
     released_matrices,
     total,
 )
 from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
-from sweepopt.fem.spaces import Discretisation, boundary_names
-from sweepopt.fem.stress import plastic_strain_of, stress_of
+from sweepopt.fem.spaces import BODY, Discretisation, boundary_names
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, folder_at
 from sweepopt.linalg import is_semidefinite
-from sweepopt.loads import Constant, History, Separable, breakpoints
+from sweepopt.loads import History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
 from sweepopt.velocity import solvers
 
 UNITS = ("dimensionless", "SI")
-PICTURES = (
-    "displacement",
-    "surface",
-    "contact",
-    "space_time",
-    "profiles",
-    "arrows",
-    "flow",
-    "stress",
-    "yielding",
-    "loop",
-)
-"""What a scene can ask for; pictures.py draws it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -183,9 +172,32 @@ class Scene(Displayed):
         branches, and effects of your own that have `stress`, at times t of the run, by default
         those of the solution. None where strains do not tell it: with a yield stress or a tensor,
         and in plane stress with an eigenstrain.
+
+        Notes
+        -----
+        The deviator is the sum of what effects add to it, at the points of strains,
+        s = 2 mu (dev e(u) - p) + 2 eta dev e(u'), with u' of the step that ends there; its size is
+        sqrt(3/2) |s|, in antiplane shear |s| / sqrt(2).
         """
         self.require_run(solution)
-        return stress_of(self, solution, solution.t if t is None else np.atleast_1d(t))
+        if not (laws := self.stress_laws()):
+            return None
+        t, body = solution.t if t is None else np.atleast_1d(t), self.discretisation
+        u, states = self.displacement(solution, t), solution(t)
+        rate = self.velocity(solution)[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
+        total = np.zeros((len(u), 1, 1, 1))
+        for law, at in laws:
+            total = total + law(Kinematics(u, rate, states[:, at]))
+        shares = body.place("stress", (BODY,), strains=True).shares
+        mean = np.einsum("cp,kcps->kcs", shares, total)
+        return np.linalg.norm(mean, axis=2) * np.sqrt(0.5 if body.components == 1 else 1.5)
+
+    def stress_laws(self) -> list[tuple[Stress, slice]]:
+        """The parts of the stress with their internal unknowns; none if one is not known."""
+        each = zip(self.effects, self.internal, strict=True)
+        laws = [(one.stress(self.discretisation), at) for one, at in each if hasattr(one, "stress")]
+        known = [(law, at) for law, at in laws if law is not None]
+        return known if len(known) == len(laws) else []
 
     def plastic_strain(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells); None without p.
@@ -193,7 +205,14 @@ class Scene(Displayed):
         At times t of the run, by default those of the solution.
         """
         self.require_run(solution)
-        return plastic_strain_of(self, solution.u if t is None else solution(np.atleast_1d(t)))
+        u = solution.u if t is None else solution(np.atleast_1d(t))
+        each = zip(self.effects, self.internal, strict=True)
+        parts = [
+            one.plastic_strain(self.discretisation, u[:, at])
+            for one, at in each
+            if hasattr(one, "plastic_strain")
+        ]
+        return sum(parts) if parts else None
 
     def _full(self, u: Any, values: Callable[[History], Any]) -> Array:
         space = self.discretisation
@@ -224,11 +243,10 @@ class Scene(Displayed):
         InputError
             If the picture does not fit the scene.
         """
-        from sweepopt.fem import output, pictures
-
         names = [picture] if picture else pictures.pictures_of(self)
         if not names:
-            raise InputError(f"picture: none fits the scene of itself; name one of {PICTURES}")
+            known = ", ".join(pictures.PICTURES)
+            raise InputError(f"picture: none fits the scene of itself; name one of {known}")
         return pictures.draw(output.Report(self, solution), names[0])
 
     @with_checks
@@ -240,8 +258,6 @@ class Scene(Displayed):
         MissingExtraError
             If matplotlib, xarray or h5netcdf is not installed.
         """
-        from sweepopt.fem import output, pictures
-
         folder = folder_at("folder", as_path("folder", folder))
         drawn = [f"{name}.png" for name in pictures.pictures_of(self)]
         pictures.write(output.Report(self, solution, name=folder.name), folder, drawn)
@@ -249,7 +265,7 @@ class Scene(Displayed):
 
     @with_checks
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
-        """Write a run as an animation of 50 even times, or at most 50 kept ones if not all were.
+        """Write a run as an animation of at most 50 kept steps that end at even times.
 
         Parameters
         ----------
@@ -268,8 +284,6 @@ class Scene(Displayed):
         InputError
             If the picture does not fit the scene, or ffmpeg is not there for an MP4.
         """
-        from sweepopt.fem import output, pictures
-
         return pictures.animate(output.Report(self, solution), path, picture)
 
 
@@ -592,13 +606,9 @@ def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
             raise InputError(f"{name} must be a list, [...], got {shown(getattr(part, name))}")
-    if any(isinstance(load, History) for load in part.loads):
+    if not all(isinstance(load, tuple) and len(load) == 2 for load in part.loads):
         raise InputError("loads must hold pairs of a history and a vector: loads=[(history, f)]")
-    loads = [
-        load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
-        for load in part.loads
-    ]
-    for k, (phi, f) in enumerate(loads):
+    for k, (phi, f) in enumerate(part.loads):
         if not callable(phi):
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
         fits(f"loads[{k}]", vector(f"loads[{k}]", f(space.start) if callable(f) else f).size)
@@ -608,7 +618,7 @@ def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
         with at_path(f"yields[{k}]."):
             fits("rows.E", matrix("rows.E", one.rows.E).shape[1])
             one.check(space.start)
-    return replace(part, loads=loads)
+    return part
 
 
 def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:

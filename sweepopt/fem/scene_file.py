@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 from sweepopt.checks import at_path, choice, count, from_table, listed, meaning, number
 from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.fem import effects
-from sweepopt.fem.fields import Profile, SlipTable, SlipWeakening
+from sweepopt.fem.fields import Profile, SlipWeakening
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid
+from sweepopt.fem.pictures import PICTURES
 from sweepopt.fem.plasticity import Plasticity
-from sweepopt.fem.scene import PICTURES, Scene, build, method
+from sweepopt.fem.scene import Scene, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Modulated, Sine, Table, Triangle, check_points
@@ -92,8 +93,8 @@ def read_scene(
         Other values by their path, ``{"effects.friction.g": 0.5, "effects.traction[0].f2": 2.0}``.
         The last key may be new, a value may be a whole table.
     without : sequence of str
-        Effects to leave out: a kind (``"traction"``) or one of it (``"traction[0]"``,
-        ``"traction.NAME"``). Nothing of them is assembled.
+        Effects to leave out: a kind (``"traction"``) or one of it (``"traction[0]"``). Nothing of
+        them is assembled.
 
     Returns
     -------
@@ -117,7 +118,7 @@ def read_scene(
         # mesh = { nodes = 50 }: a chain with nodes at x = 0, 1, ..., for kind = "lumped"
         kind = "antiplane"              # or "plane strain", "plane stress", "solid", "lumped"
         clamped = "bonded"              # a name or a list; "clamped" if not given
-        held = { foot = "y" }           # components: letters of x, y, z, n, t, or "all"
+        held = { foot = "y" }           # components: letters of x, y, z and n
         element = "P1"                  # or "P2"
         refinements = 0                 # of the mesh: each divides a triangle into four
         [time]
@@ -133,8 +134,8 @@ def read_scene(
         [effects.friction]
         on = "contact"
         g = 0.3
-        slip = { distance = 0.01, residual = 0.4 }    # or { at = [...], values = [...] }, optional
-        [[effects.traction]]            # a table, several, or [effects.traction.NAME]
+        slip = { distance = 0.01, residual = 0.4 }    # optional
+        [[effects.traction]]            # a table, or several
         on = "outer"
         history = { csv = "loads.csv", column = "f2" }
         [effects.body_force]
@@ -232,8 +233,7 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     if key in ("history", "moved"):
         return _history(value, path, folder)
     if key == "slip":
-        law = SlipTable if isinstance(value, Mapping) and "at" in value else SlipWeakening
-        return _called(law, value, path, folder)
+        return _called(SlipWeakening, value, path, folder)
     if isinstance(value, Mapping) and "along" in value:
         return _called(Profile, value, path, folder)
     return value
@@ -261,20 +261,8 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
         several = {path: table}
         if isinstance(table, list):
             several = {f"{path}[{k}]": one for k, one in enumerate(table)}
-        elif _are_named(kind, table):
-            several = {f"{path}.{key}": one for key, one in table.items()}
         kinds |= {label: (kind, one) for label, one in several.items()}
     return kinds
-
-
-def _are_named(kind: type, table: Any) -> bool:
-    """Whether a table has several effects by name: tables, none of them a key of the effect."""
-    return (
-        isinstance(table, Mapping)
-        and len(table) > 0
-        and all(isinstance(one, Mapping) for one in table.values())
-        and not set(table) & set(signature(kind).parameters)
-    )
 
 
 def _history(table: Any, path: str, folder: Path) -> Any:
@@ -415,9 +403,7 @@ def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
         raise InputError(f"without must be a list of names of effects, got {shown(without)}")
     for name in [without] if isinstance(without, str) else without:
         wanted = f"effects.{str(name).removeprefix('effects.')}"
-        gone = [
-            one for one in labels if one == wanted or one.startswith((f"{wanted}.", f"{wanted}["))
-        ]
+        gone = [one for one in labels if one == wanted or one.startswith(f"{wanted}[")]
         if not gone:
             there = ", ".join(one.removeprefix("effects.") for one in labels)
             raise InputError(f"without: there is no effect {shown(name)}; there are: {there}")

@@ -16,7 +16,7 @@ import numpy as np
 
 from sweepopt.fem.contact import STATES, Slip, signed_lengths
 from sweepopt.fem.spaces import boundary_names
-from sweepopt.plot import STICK, even_steps, frame_times, new_figure, write_animation
+from sweepopt.plot import STICK, even_steps, frame_steps, new_figure, write_animation
 
 if TYPE_CHECKING:
     from sweepopt.fem.output import Report
@@ -52,7 +52,7 @@ class Field(NamedTuple):
 
 
 At = Callable[["Report", Array], Field]
-"""The field of a run at times."""
+"""The field of a run at the ends of steps."""
 
 
 def picture(report: Report, field: At) -> Any:
@@ -62,36 +62,36 @@ def picture(report: Report, field: At) -> Any:
     -------
     matplotlib Figure
     """
-    t = report.solution.t[1:][even_steps(report.solution, 6)]
-    return _page(report, field(report, t), t)[0]
+    steps = even_steps(report.solution, 6)
+    return _page(report, field(report, steps), steps)[0]
 
 
 def animation(report: Report, field: At, path: Path) -> None:
     """Write the field at even times as a GIF or, by ffmpeg, as an MP4."""
-    t = frame_times(report.solution)
-    shown = field(report, t)
-    figure, panel = _page(report, shown, t[:1])
+    steps = frame_steps(report.solution)
+    shown = field(report, steps)
+    figure, panel = _page(report, shown, steps[:1])
 
     def draw(i: int) -> None:
         for artist in [*panel.collections, *panel.lines, *panel.images]:
             artist.remove()
-        _draw(report, shown, panel, t, i)
+        _draw(report, shown, panel, steps, i)
 
-    write_animation(figure, path, draw, len(t))
+    write_animation(figure, path, draw, len(steps))
 
 
-def displacement(report: Report, t: Array) -> Field:
+def displacement(report: Report, steps: Array) -> Field:
     """The displacement of a body in the plane, or over x along a line, and where it slips."""
     from matplotlib.collections import LineCollection
 
     body, legend = report.body, states_of(report.slip)
-    u, x = signed_lengths(report.at("displacement", t)), body.points
+    u, x = signed_lengths(report.at("displacement", steps)), body.points
     if body.mesh.dim() == 1:
         order, x = np.argsort(x[:, 0]), np.stack([np.broadcast_to(x[:, 0], u.shape), u], axis=2)
 
         def curve(panel: Any, i: int) -> None:
             panel.plot(*x[i, order].T, color="black", lw=1.0, zorder=1)
-            _mark(report, panel, t[i], x[i])
+            _mark(report, panel, steps[i], x[i])
 
         return Field(curve, x.reshape(-1, 2), "", "length", legend, ("x", "displacement"))
     pulled = [
@@ -112,32 +112,32 @@ def displacement(report: Report, t: Array) -> Field:
             edges: Any = x[body.facet_nodes(facets).T]
             panel.add_collection(LineCollection(edges, colors=colour, lw=width))
         image = _fill(report, panel, u[i], **look)
-        _mark(report, panel, t[i], x)
+        _mark(report, panel, steps[i], x)
         return image
 
     label = "displacement out of the plane" if body.components == 1 else SIZE
     return Field(draw, x, label, "length", legend)
 
 
-def surface(report: Report, t: Array) -> Field:
+def surface(report: Report, steps: Array) -> Field:
     """The surface of a solid, with the size of its displacement."""
-    size = signed_lengths(report.at("displacement", t))
+    size = signed_lengths(report.at("displacement", steps))
     faces = size[:, report.body.triangles].mean(axis=2)
-    return _deformed(report, t, faces, SIZE, "length")
+    return _deformed(report, steps, faces, SIZE, "length")
 
 
-def stress(report: Report, t: Array) -> Field:
+def stress(report: Report, steps: Array) -> Field:
     """The stress in the cells of a section, or in those at the surface of a solid."""
-    mesh, values = report.body.mesh, report.at("stress", t)
+    mesh, values = report.body.mesh, report.at("stress", steps)
     name = "shear stress" if report.body.components == 1 else "von Mises stress"
     if mesh.dim() == 2:
         return _in_cells(report, values, name, "traction", "YlOrRd", {})
     behind = mesh.f2t[0, mesh.boundary_facets()]
-    return _deformed(report, t, values[:, behind], name, "traction", "YlOrRd")
+    return _deformed(report, steps, values[:, behind], name, "traction", "YlOrRd")
 
 
 def _deformed(
-    report: Report, t: Array, faces: Array, label: str, quantity: str, rising: str = "Greens"
+    report: Report, steps: Array, faces: Array, label: str, quantity: str, rising: str = "Greens"
 ) -> Field:
     """The surface of a solid, seen from its contact, with a value on each of its faces.
 
@@ -149,7 +149,7 @@ def _deformed(
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     body, contact = report.body, report.scene.contact
-    u, triangles = report.at("displacement", t), body.triangles
+    u, triangles = report.at("displacement", steps), body.triangles
     factor = 0.1 * np.ptp(body.points, axis=0).max() / (signed_lengths(u).max() or 1.0)
     moved, look = body.points + factor * u, colours_of(faces, rising)
     faces = np.tile(faces, len(triangles) // faces.shape[1])  # the parts of a P2 element
@@ -163,7 +163,7 @@ def _deformed(
         how = {"clim": (0.0, look["vmax"]), "cmap": look["cmap"], "show_scalar_bar": False}
         plotter.add_mesh(shape, scalars=faces[i], show_edges=True, lighting=False, **how)
         if contact is not None:
-            colours = to_rgba_array(_colours(report, t[i]))[:, :3]
+            colours = to_rgba_array(_colours(report, steps[i]))[:, :3]
             how = {"render_points_as_spheres": True, "point_size": 12, "lighting": False}
             plotter.add_points(moved[i, contact.node], scalars=colours, rgb=True, **how)
         plotter.show_axes()
@@ -181,7 +181,7 @@ def _deformed(
         artist = Poly3DCollection(moved[i, triangles], ec="0.3", lw=0.2, cmap=look["cmap"])
         artist.set(array=faces[i], clim=(0.0, look["vmax"]))
         panel.add_collection3d(artist)
-        _mark(report, panel, t[i], moved[i], depthshade=False)
+        _mark(report, panel, steps[i], moved[i], depthshade=False)
         panel.view_init(elev=30 - 60 * below, azim=-60)
         panel.set_box_aspect(np.ptp(moved, axis=(0, 1)))
         return artist
@@ -189,7 +189,7 @@ def _deformed(
     return Field(draw, moved.reshape(-1, 3), label, quantity, legend)
 
 
-def flow(report: Report, t: Array) -> Field:
+def flow(report: Report, steps: Array) -> Field:
     """The velocity of a section, and what is rigid in it.
 
     A triangle is a part of a plug if its corners have one velocity, and at rest if that is 0: both
@@ -198,7 +198,7 @@ def flow(report: Report, t: Array) -> Field:
     from matplotlib.colors import ListedColormap
 
     body = report.body
-    velocity = report.scene.velocity(report.solution)[report.steps_at(t)]
+    velocity = report.scene.velocity(report.solution)[steps]
     look, flat = colours_of(velocity), ListedColormap([STICK, PLUG])
 
     def draw(panel: Any, i: int) -> Any:
@@ -212,9 +212,9 @@ def flow(report: Report, t: Array) -> Field:
     return Field(draw, body.points, "velocity", "velocity", legend)
 
 
-def yielding(report: Report, t: Array) -> Field:
+def yielding(report: Report, steps: Array) -> Field:
     """Plastic strains of a body in the plane; grey where there is none yet, to show their front."""
-    strain = np.ma.masked_equal(report.at("plastic_strain", t), 0.0)
+    strain = np.ma.masked_equal(report.at("plastic_strain", steps), 0.0)
     legend = {STICK: "elastic so far"}
     return _in_cells(report, strain, "plastic strain", "", "plasma_r", legend)
 
@@ -232,10 +232,9 @@ def _in_cells(
     return Field(draw, body.points, label, quantity, legend)
 
 
-def arrows(report: Report, t: Array) -> Field:
+def arrows(report: Report, steps: Array) -> Field:
     """Slip arrows in the plane of contact, and the friction traction over its bound, of vectors."""
-    slip, steps = report.slip, report.steps_at(t)
-    assert slip is not None
+    slip: Any = report.slip
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
     x, speed, use = slip.contact.points[:, plane], slip.speed[steps], slip.use[steps]
     velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][..., plane]
@@ -296,19 +295,19 @@ def _fill(report: Report, panel: Any, *values: Array, **look: Any) -> Any:
     return panel.tripcolor(x, y, body.triangles, *values, shading=shading, rasterized=True, **look)
 
 
-def _mark(report: Report, panel: Any, t: float, points: Array, **look: Any) -> None:
+def _mark(report: Report, panel: Any, step: int, points: Array, **look: Any) -> None:
     """Nodes with friction in the colours of their states, with a casing against the field."""
     if report.slip is not None:
         spots = points[report.slip.contact.node].T
         # all casings first: they would hide neighbours
-        for size, colours in ((50, "white"), (24, _colours(report, t))):
+        for size, colours in ((50, "white"), (24, _colours(report, step))):
             panel.scatter(*spots, s=size, c=colours, lw=0, zorder=2, **look)
 
 
-def _colours(report: Report, t: float) -> list[str]:
-    """Of the nodes with friction, by their states at a time."""
+def _colours(report: Report, step: int) -> list[str]:
+    """Of the nodes with friction, by their states in a step."""
     slip: Any = report.slip
-    return [STATE_COLOURS[k] for k in slip.state[report.steps_at(t)].tolist()]
+    return [STATE_COLOURS[k] for k in slip.state[step].tolist()]
 
 
 @cache
@@ -334,23 +333,24 @@ def off_screen() -> Any:
     return import_module("pyvista")
 
 
-def _draw(report: Report, field: Field, panel: Any, t: Array, i: int) -> Any:
+def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any:
     """The field on a panel, and the time."""
-    panel.set_title(f"t = {t[i]:.4g}{report.suffix('time')}", fontsize="medium")
+    t = report.solution.t[steps[i] + 1]
+    panel.set_title(f"t = {t:.4g}{report.suffix('time')}", fontsize="medium")
     return field.draw(panel, i)
 
 
-def _page(report: Report, field: Field, t: Array) -> tuple[Any, Any]:
-    """A figure with the field at times, up to three in a row, and its first panel."""
-    columns = min(len(t), 3)
-    rows = -(-len(t) // columns)
+def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
+    """A figure with the field at ends of steps, up to three in a row, and its first panel."""
+    columns = min(len(steps), 3)
+    rows = -(-len(steps) // columns)
     figure = new_figure((4.0 * max(columns, 2), 3.5 * rows))
     kind = {"projection": "3d"} if field.points.shape[1] == 3 else {}
     panels = figure.subplots(rows, columns, squeeze=False, subplot_kw=kind)
-    for panel in panels.flat[len(t) :]:
+    for panel in panels.flat[len(steps) :]:
         panel.set_axis_off()
-    for i, panel in enumerate(panels.flat[: len(t)]):
-        image = _draw(report, field, panel, t, i)
+    for i, panel in enumerate(panels.flat[: len(steps)]):
+        image = _draw(report, field, panel, steps, i)
         for own, name, x in zip("xyz", field.axes, field.points.T, strict=False):
             edge = 0.08 * (np.ptp(x) or 1.0)
             panel.set(**{f"{own}lim": (x.min() - edge, x.max() + edge)})

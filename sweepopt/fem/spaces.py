@@ -71,9 +71,9 @@ class Discretisation(Brief):
         A lumped model is a chain of P1 intervals of length 1: gradients are the differences along
         edges, and an integral of values over the body is their sum over the nodes.
     held : mapping of str to str
-        Components that are zero on a boundary: letters of "xyz", "n" (normal), "t" (all tangents),
-        such as ``{"axis": "n", "foot": "xy"}``, or "all". At a node the normal is the mean of
-        those of the boundary's facets.
+        Components that are zero on a boundary: letters of "xyz" and "n" (normal), such as
+        ``{"axis": "n", "foot": "xy"}``. At a node the normal is the mean of those of the boundary's
+        facets.
     turned : sequence of str
         Boundaries where the unknowns of a node are the components along its normal and its
         tangents; scenes turn those with friction.
@@ -153,13 +153,16 @@ class Discretisation(Brief):
                 f"held must say what is held on a boundary, such as {{ foot = 'y' }}, got "
                 f"{shown(self.held)}"
             )
-        known = AXES[: self.components] + "nt" if self.components > 1 else ""
+        if self.held and self.components == 1:
+            raise InputError(
+                f"held: {self.kind!r} (the default kind is 'antiplane') has one component; name in "
+                "clamped where it is held"
+            )
+        known = AXES[: self.components] + "n"
         for name, what in self.held.items():
             self.facets("held", [name])
-            if what != "all" and not (isinstance(what, str) and what and set(what) <= set(known)):
-                one = f"'all', as {self.kind!r} has one component (the default kind is 'antiplane')"
-                letters = f"letters of {known!r} or 'all'" if known else one
-                raise InputError(f"held.{name} must be {letters}, got {shown(what)}")
+            if not (isinstance(what, str) and what and set(what) <= set(known)):
+                raise InputError(f"held.{name} must be letters of {known!r}, got {shown(what)}")
 
     @property
     def lumped(self) -> bool:
@@ -204,7 +207,7 @@ class Discretisation(Brief):
     @cached_property
     def frame(self) -> Frame:
         """At each node the directions of its degrees of freedom, those that are held first."""
-        all_held = dict.fromkeys(self.clamped or (), "all")
+        all_held = dict.fromkeys(self.clamped or (), AXES[: self.components])
         boundaries = [*all_held.items(), *self.held.items()]
         return frame_of(self, [(self.facets("held", [name])[0], what) for name, what in boundaries])
 
@@ -381,11 +384,8 @@ class Discretisation(Brief):
     def interpolate(self, function: Any, name: str = "function") -> Array:
         """Nodal values of a function of x (shape (d, N)) at the unknowns, shape (dim,).
 
-        Of a vector the components, a list of data, or a function that returns all of them. The name
-        is what errors call it.
+        Of a vector a list of data, one for each component. The name is what errors call it.
         """
-        if self.components > 1 and callable(function):
-            function = list(function(self.points.T))
         coefficient, full = Coefficient(name), np.zeros(self.nodes.size)
         for dofs, datum in zip(
             self.nodes, coefficient.parts(function, self.components), strict=True

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.checks import choice
+from sweepopt.display import COLOURS
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
 from sweepopt.results import ErrorBound, Solution
@@ -24,8 +25,6 @@ from sweepopt.study.problems import body_name
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-# Okabe and Ito's, which every common colour vision can distinguish
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 COLUMNS = 3
 """Panels side by side."""
 ERROR = "largest error over the steps"

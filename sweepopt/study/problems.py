@@ -14,8 +14,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from sweepopt import loads, sets
 from sweepopt.checks import choice
 from sweepopt.errors import InputError, SweepoptError
@@ -23,26 +21,6 @@ from sweepopt.io import find_scene, read_bytes, read_toml
 from sweepopt.problem import SweepingProcess
 
 FILE = Path(__file__).with_suffix(".toml")
-
-
-@dataclass(frozen=True)
-class Spiral:
-    """speed t cos(rate t + phase): a history that declares a bound of its variation."""
-
-    speed: float
-    rate: float
-    phase: float
-
-    def __call__(self, t: Any) -> Any:
-        return self.speed * np.asarray(t) * np.cos(self.rate * np.asarray(t) + self.phase)
-
-    def variation(self, a: float, b: float) -> float:
-        """At most int speed (1 + rate t) dt."""
-        return self.speed * (b - a) * (1 + self.rate * (a + b) / 2)
-
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        """None."""
-        return np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -72,7 +50,7 @@ class Problem:
         terms = []
         for term in self.load:
             (history, arguments), (_, direction) = term.items()
-            terms.append((getattr(loads, history, Spiral)(*arguments), direction))
+            terms.append((getattr(loads, history)(*arguments), direction))
         ((kind, arguments),) = self.set.items()
         shape, load = getattr(sets, kind), loads.Separable(terms)
         fixed = kind != "Polyhedron"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from contextlib import suppress
@@ -233,12 +232,10 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
 
     rows, path = {}, Path(folder, ROWS)
     for line in path.read_bytes().splitlines() if path.exists() else ():
-        checksum, _, text = line.partition(b" ")
-        # lines that are damaged or have other columns are no rows
-        if checksum == b"%08x" % zlib.crc32(text):
-            with suppress(TypeError):
-                row = CellRow(**json.loads(text))
-                rows[row.cell] = row
+        # lines that are cut short or have other columns are no rows
+        with suppress(ValueError, TypeError):
+            row = CellRow(**json.loads(line))
+            rows[row.cell] = row
     finished = [rows[cell.id] for cell in study.cells() if cell.id in rows]
     return pd.DataFrame(finished, columns=list(CellRow._fields))
 
@@ -251,7 +248,7 @@ def _append_row(path: Path, row: CellRow) -> None:
     line = json.dumps(row._asdict(), default=np.generic.item)
     with path.open("ab") as file:
         # a new line first: one that a kill cut short must not spoil this one
-        file.write(f"\n{zlib.crc32(line.encode()):08x} {line}".encode())
+        file.write(f"\n{line}".encode())
         file.flush()
         os.fsync(file.fileno())
 
