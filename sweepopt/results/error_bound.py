@@ -83,7 +83,7 @@ WORK = {"implicit-euler": 11, "sdirk2": 8}
 
 A bound then takes 7.7 times as long as the run (median; worst 13). With 13 and 10 bounds were 1.25
 times closer for bodies of uneven viscosity."""
-OF_CURVED, OF_LARGE = 0.6, 0.3
+OF_CURVED, OF_LARGE = 0.65, 0.3
 """The share of WORK where a step of the second run is dearer, beside those of the run.
 
 That is where C is curved, balls apart, or its projections iterate, and where the run eliminates
