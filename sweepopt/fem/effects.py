@@ -339,8 +339,6 @@ class Dashpot(Record):
     eta : number, formula, mapping of name to number, Profile or callable
         Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume, Pa s along a bar,
         N s/m of a node of a lumped model), >= 0.
-    along : str
-        "all", "x", "y" or "z".
 
     Raises
     ------
@@ -355,7 +353,6 @@ class Dashpot(Record):
 
     on: Sequence[str]
     eta: Datum
-    along: str = "all"
     data = (Coefficient("eta", 0.0),)
 
     def contribute(self, body: Discretisation) -> Contribution:
@@ -375,7 +372,7 @@ class Foundation(Record):
         Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume, Pa along a bar, N/m of
         a node of a lumped model), >= 0.
     along : str
-        As for `Dashpot`.
+        "all", "x", "y" or "z".
     moved : callable, optional
         d(t) (m): how far the other end of the springs has moved along the direction, which adds
         the load ``d(t) int k v``. In the plane and in solids `along` is then "x", "y" or "z".
@@ -399,7 +396,7 @@ class Foundation(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B, and the load of what moves."""
-        B = _mass(body, self)
+        B = _mass(body, self, self.along)
         loads: list[Force] = []
         if self.moved is not None:
             if body.components > 1 and self.along not in AXES:
@@ -993,9 +990,9 @@ def _restricted(body: Discretisation, on: Sequence[str], x: Any) -> Any:
     return restricted
 
 
-def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
+def _mass(body: Discretisation, effect: Dashpot | Foundation, along: str = "all") -> sp.csc_array:
     """int c u . v of the components along a direction, of all degrees of freedom."""
-    place, along = body.place("on", effect.on, nodal=body.lumped), effect.along
+    place = body.place("on", effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
     choice("along", along, ["all", *(AXES[: body.components] if body.components > 1 else "")])
 
