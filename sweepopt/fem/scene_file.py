@@ -229,7 +229,7 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
         return _called(chain if "nodes" in value else grid, value, path, folder)
     if key in ("mesh", "csv", "run"):
         return folder / as_path(path, value)
-    if key in ("history", "moved"):
+    if key == "history":
         return _history(value, path, folder)
     if key == "slip":
         return _called(SlipWeakening, value, path, folder)
