@@ -136,7 +136,10 @@ def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(
     whole, first = scene.solve(t_end=2.0, steps=4), scene.solve(t_end=1.0, steps=2)
     write_netcdf(Report(scene, first), tmp_path / "solution.nc")
     table = {"t": [0.0, 5.0], "values": [1.0, -4.0]}
-    later = {"initial": {"run": str(tmp_path)}, "effects.traction.history": {"table": table}}
+    later = {
+        "initial": {"run": str(tmp_path / "solution.nc")},
+        "effects.traction.history": {"table": table},
+    }
     rest = read_scene("plate", changes=hardening | later)
     assert np.array_equal(rest.problem.u0, first.u[-1])
     second = rest.solve(t_end=1.0, steps=2)

@@ -30,7 +30,7 @@ class Initial(Record):
         stays where it is held, internal unknowns start at zero.
     run : str or Path, optional
         Instead of u: a NetCDF file whose last state is taken: the ``solution.nc`` of ``sweepopt
-        run``, or its folder, or one of ``save="run.nc"`` or `Solution.save`.
+        run``, or one of ``save="run.nc"`` or `Solution.save`.
 
     Raises
     ------
@@ -67,7 +67,6 @@ class Initial(Record):
         if self.run is None:
             return u0
         path = as_path("run", self.run)
-        path = path / "solution.nc" if path.is_dir() else path
         labels = field_names(fields, size)
         try:
             with open_run(path) as run:
