@@ -725,7 +725,7 @@ class YieldStress(Record):
     Parameters
     ----------
     g : number, formula, mapping of subdomain to number, Profile or callable
-        Yield stress (Pa), >= 0; a function of x and t moves in time.
+        Yield stress (Pa), >= 0.
 
     Raises
     ------
@@ -748,25 +748,20 @@ class YieldStress(Record):
                 "g: yield stress is for antiplane shear; vectors need an incompressible"
                 " element, which is not offered"
             )
-        place, moves = body.place("on", (BODY,), strains=True), in_time(self.g)
-        dx = place.basis.dx
+        place = body.place("on", (BODY,), strains=True)
+        (g,), dx = self.values_at(place), place.basis.dx
         weight, block = dx.sum(axis=1), body.mesh.dim() * dx.shape[1]
         share = place.shares
         gradients = np.array([phi[0].grad * np.sqrt(share) for phi in place.basis.basis])
         gradients[0] = -gradients[1:].sum(axis=0)  # a constant has none
         E = body.rows(place.basis, gradients)
         E.eliminate_zeros()
-
-        def bound(t: float) -> Array:
-            (g,) = self.values_at(place, t)
-            return np.asarray((g * share).sum(axis=1))
-
-        keep = (np.diff(E.indptr[::block]) > 0) & (moves | (bound(0.0) > 0))
+        bound = (g * share).sum(axis=1)
+        keep = (np.diff(E.indptr[::block]) > 0) & (bound > 0)
         if not keep.any():
             return Contribution()
         chosen = Rows(E[np.repeat(keep, block)], block, weight[keep], "gradient")
-        g: Any = (lambda t: bound(t)[keep]) if moves else bound(0.0)[keep]
-        return Contribution(yields=[Yield(chosen, g)])
+        return Contribution(yields=[Yield(chosen, bound[keep])])
 
     def stress(self, body: Discretisation) -> Stress | None:
         """Where nothing flows it is open."""

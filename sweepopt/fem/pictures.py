@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.fem import output, snapshots
-from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.contact import Slip
 from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
@@ -139,7 +139,7 @@ def contact(report: Report) -> Any:
     figure, loaded = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
     panels = figure.subplots(3 + loaded, 1, sharex=True)
     zone, moved, traction = panels[:3]
-    colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
+    colours = ListedColormap(list(STATE_COLOURS.values()))
     _over_time(report, slip, zone, slip.state, cmap=colours, vmin=-1.5, vmax=1.5)
     # points that slip from little to far
     nodes, arc = spread(slip.total, len(STYLES)), slip.contact.arc
