@@ -319,19 +319,14 @@ def off_screen() -> Any:
     """
     if not find_spec("pyvista"):
         return None
-    window = {}
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        window["VTK_DEFAULT_OPENGL_WINDOW"] = "vtkEGLRenderWindow"
-    environment = window | os.environ
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     trial = "import pyvista; pyvista.Plotter(off_screen=True).screenshot(return_img=True)"
     try:
-        drawn = run([sys.executable, "-c", trial], capture_output=True, timeout=60, env=environment)
+        drawn = run([sys.executable, "-c", trial], capture_output=True, timeout=60)
     except TimeoutExpired:  # some drivers hang
         return None
-    if drawn.returncode:
-        return None
-    os.environ.update(environment)
-    return import_module("pyvista")
+    return None if drawn.returncode else import_module("pyvista")
 
 
 def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any:
