@@ -12,8 +12,7 @@ import sys
 import tempfile
 import time as clock
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -58,7 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     try:
-        with _plain_warnings():
+        with warnings.catch_warnings():  # as one line without a source file
+            warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
             code = int(options.command(options))
             print(end="", flush=True)
             return code
@@ -254,14 +254,6 @@ def _require(*extras: str) -> None:
         with brought_by(extra):
             for package in EXTRAS[extra]:
                 import_module(package)
-
-
-@contextmanager
-def _plain_warnings() -> Iterator[None]:
-    """Warnings as one line without a source file."""
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
-        yield
 
 
 def _say(message: str) -> None:

@@ -458,7 +458,7 @@ SCENE = {
     "effects": {
         "viscosity": {"eta": 2.0, "zeta": 1.0},
         "elasticity": {"E": 3.0, "nu": "0.2 + 0.05 * x"},
-        "dashpot": {"on": "bottom", "eta": 1.0, "along": "x"},
+        "dashpot": {"on": "bottom", "eta": 1.0},
         "friction": [{"on": "left", "g": 1.0}, {"on": "bottom", "g": 0.2}],
         "traction": [
             {

@@ -1,7 +1,5 @@
 """Lumped models, and their scenes (hysteresis, chain) against exact values."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,14 +7,13 @@ from PIL import Image
 
 from sweepopt import plot
 from sweepopt.fem import (
+    BodyForce,
     Discretisation,
     Elasticity,
     Foundation,
     Viscosity,
-    antiplane,
     body,
     chain,
-    grid,
     read_scene,
 )
 from sweepopt.fem import Friction as Rub
@@ -40,7 +37,8 @@ def test_a_lumped_model_is_the_chain_to_the_last_digit():
     effects = [
         Viscosity(1.0),
         Elasticity(lambda x: kappa[np.minimum(x[0].astype(int), n - 2)]),
-        Foundation("body", "x", moved=Table([0.0, 1.0], [0.0, 2.0])),
+        Foundation("body", "x"),
+        BodyForce(Table([0.0, 1.0], [0.0, 2.0]), "x"),
         Rub("body", "1 + x"),
     ]
     scene = body(space, effects, t_end=1.0, steps=4)
@@ -56,64 +54,29 @@ def test_a_lumped_model_is_the_chain_to_the_last_digit():
 def test_the_loop_of_the_scene_is_that_of_fifty_plays(d):
     """Masing's rule, the wiping out of closed loops and their congruence are laws of plays."""
     data = scene_data("hysteresis")
-    moved = data["effects"]["foundation"]["moved"]
+    history = data["effects"]["body_force"]["history"]
     if d is not None:
-        moved["table"] = {"t": [float(i) for i in range(len(d))], "values": d}
+        history["table"] = {"t": [float(i) for i in range(len(d))], "values": d}
         data["time"] = {"end": len(d) - 1.0, "steps": 40 * (len(d) - 1)}
     scene = read_scene(data)
     solution = scene.solve()
     assert solution.stats["relative"].max() <= 1e-10
     r, u = np.arange(1, 51) / 50, np.zeros(50)
-    path = np.interp(solution.t, moved["table"]["t"], moved["table"]["values"])
+    path = np.interp(solution.t, history["table"]["t"], history["table"]["values"])
     for i, x in enumerate(path):
         u = np.clip(u, x - r, x + r)
         assert np.abs(solution.u[i] - u).max() <= 1e-10
-    force = scene.plot(solution, "loop").axes[0].lines[0].get_ydata()
-    np.testing.assert_allclose(force, 0.02 * (path[:, None] - solution.u).sum(axis=1), atol=1e-10)
-    if d is None:
-        assert force.max() == pytest.approx(0.51, abs=1e-10)  # sum of the g_i: all slide at d = 1
+    drawn, load = scene.plot(solution, "loop").axes[0].lines[0].get_data()
+    np.testing.assert_allclose(drawn, solution.u.mean(axis=1), atol=1e-12)
+    np.testing.assert_allclose(load, path, atol=1e-12)
+    if d is None:  # F, the sum of the g_i: all slide at d = 1
+        assert (load - drawn).max() == pytest.approx(0.51, abs=1e-10)
 
 
 def lumped(domain, **time):
     """The scene with another domain or end, for data/refused.txt."""
     data = scene_data("hysteresis")
     return read_scene(data | {"domain": data["domain"] | domain, "time": data["time"] | time})
-
-
-def test_a_sheet_follows_the_bed_that_carries_it():
-    plate = Discretisation(grid([1.0, 1.0], [2, 2]), (), kind="plane stress")
-    bed = Foundation("body", 3.0, along="y", moved=Table([0.0, 1.0], [0.0, 2.0]))
-    hold = Foundation("body", 1.0, along="x")
-    scene = body(plate, [Viscosity(1e-9), bed, hold], t_end=1.0, steps=4)
-    u = scene.displacement(scene.solve())[-1]
-    assert np.allclose(u, [0.0, 2.0], rtol=0, atol=1e-6)
-
-
-@dataclass(frozen=True, repr=False)
-class Rope(Foundation):
-    """Springs of one's own, whose load is in two terms."""
-
-    pulled = "right"
-
-    def contribute(self, body):
-        part = super().contribute(body)
-        ((d, f),) = part.loads
-        return replace(part, loads=[(d, f / 4), (d, 3 * f / 4)])
-
-
-def test_springs_of_ones_own_have_a_loop_and_are_marked_where_they_pull():
-    scene = antiplane(
-        grid([1.0, 1.0], [2, 2]),
-        clamped="top",
-        effects=[Viscosity(1e9), Rope("right", 3.0, moved=Table([0.0, 1.0], [0.0, 2.0]))],
-        t_end=1.0,
-        steps=2,
-    )
-    solution = scene.solve()
-    force = scene.plot(solution, "loop").axes[0].lines[0].get_ydata()
-    np.testing.assert_allclose(force, [0.0, 3.0, 6.0], rtol=1e-6)  # those at the clamped node too
-    (legend,) = scene.plot(solution, "displacement").legends
-    assert [text.get_text() for text in legend.get_texts()] == ["clamped", "pulled"]
 
 
 # --- scene 12: a chain of blocks
@@ -123,7 +86,7 @@ def chain_data(nodes, end, steps):
     data = scene_data("chain")
     data["domain"]["mesh"]["nodes"] = nodes
     data["time"] = {"end": end, "steps": steps}
-    data["effects"]["foundation"]["moved"] = {"table": {"t": [0.0, end], "values": [0.0, end]}}
+    data["effects"]["body_force"]["history"] = {"table": {"t": [0.0, end], "values": [0.0, end]}}
     return data
 
 

@@ -364,7 +364,7 @@ def test_every_flipped_bit_and_every_cut_of_a_file_is_named(tmp_path):
         damaged.append(bytes(flipped))
     for one in [b"", content[:-1], content[:-100] + bytes(100), content + b"\n", *damaged]:
         file.write_bytes(one)
-        with pytest.raises(so.CheckpointError, match=r"run.nc (is damaged|has no checksum)"):
+        with pytest.raises(so.CheckpointError, match=r"run.nc is damaged"):
             so.Solution.load(file)
 
 
@@ -409,7 +409,7 @@ def test_before_the_first_step_a_full_disk_leaves_no_velocities_of_any_unknown(t
 
 def test_a_checkpoint_that_is_loaded_as_a_solution_is_called_one(tmp_path):
     so.solve(block(so.Sine(2.0, period=4.0)), t_end=1.0, steps=2, checkpoint=tmp_path / "a.npz")
-    with pytest.raises(so.DamagedFileError, match=r"a\.npz is .* checkpoint, which so\.resume"):
+    with pytest.raises(so.DamagedFileError, match=r"a\.npz is .* a checkpoint by so\.resume"):
         so.Solution.load(tmp_path / "a.npz")
 
 
@@ -451,16 +451,10 @@ def test_a_scene_and_its_run_go_through_pickle():
     np.testing.assert_array_equal(same.displacement(sol), scene.displacement(scene.solve(steps=4)))
 
 
-def test_a_file_that_another_program_wrote_again_is_read(tmp_path):
+def test_a_file_that_another_program_wrote_again_is_not_loaded(tmp_path):
     file, again = tmp_path / "run.nc", tmp_path / "again.nc"
-    whole = so.solve(slider(), t_end=4.0, steps=50, save=file)
+    so.solve(slider(), t_end=4.0, steps=50, save=file)
     with xr.open_dataset(file, engine="h5netcdf") as dataset:
         dataset.load().assign_attrs(note="mine").to_netcdf(again, engine="h5netcdf")
-    loaded = so.Solution.load(again, slider())
-    assert np.array_equal(loaded.u, whole.u)
-    assert list(loaded.stats["solver"]) == list(whole.stats["solver"])
-    content = again.read_bytes()
-    for one in (content[:-1], content[: len(content) // 2]):
-        again.write_bytes(one)
-        with pytest.raises(so.CheckpointError, match=r"again.nc is damaged"):
-            so.Solution.load(again)
+    with pytest.raises(so.CheckpointError, match=r"again.nc .* read by xarray.open_dataset"):
+        so.Solution.load(again)

@@ -6,7 +6,7 @@ import pytest
 import sweepopt as so
 from sweepopt.fem import grid, read_scene
 from sweepopt.fem.output import Report
-from sweepopt.fem.pictures import loops
+from sweepopt.fem.pictures import driven
 from sweepopt.io import find_scene, parse_toml
 
 
@@ -61,7 +61,7 @@ def test_a_fault_creeps_down_to_the_depth_of_the_half_space_and_back_by_masing()
 def test_fretting_is_that_of_cattaneo_and_mindlin():
     report = solved("fretting")
     slip, solution = report.slip, report.solution
-    ((U, half, _),) = loops(report.scene, solution)
+    U, half, _ = driven(report.scene, solution)
     crest, P = 20, np.pi / 2
     Q = 2 * half[crest]
     s = 1 - Q / P

@@ -8,7 +8,7 @@ import pytest
 
 from sweepopt.errors import InputError
 from sweepopt.fem import Contribution, read_scene
-from sweepopt.fem.output import Report, dataset_of, write_vtu
+from sweepopt.fem.output import Report, dataset_of, write_netcdf, write_vtu
 
 
 def isotropic(modulus):
@@ -134,9 +134,12 @@ def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(
     hardening = hardening | {"domain.element": "P1"}
     scene = read_scene("plate", changes=hardening)
     whole, first = scene.solve(t_end=2.0, steps=4), scene.solve(t_end=1.0, steps=2)
-    dataset_of(Report(scene, first)).to_netcdf(tmp_path / "solution.nc", engine="h5netcdf")
+    write_netcdf(Report(scene, first), tmp_path / "solution.nc")
     table = {"t": [0.0, 5.0], "values": [1.0, -4.0]}
-    later = {"initial": {"run": str(tmp_path)}, "effects.traction.history": {"table": table}}
+    later = {
+        "initial": {"run": str(tmp_path / "solution.nc")},
+        "effects.traction.history": {"table": table},
+    }
     rest = read_scene("plate", changes=hardening | later)
     assert np.array_equal(rest.problem.u0, first.u[-1])
     second = rest.solve(t_end=1.0, steps=2)

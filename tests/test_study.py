@@ -248,10 +248,9 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path):
     assert (row.status, row.problem, row.steps_done) == ("SUCCESS", "ring", 4)
 
 
-def test_a_scene_that_starts_from_the_folder_of_a_run_is_another_when_the_run_is(tmp_path):
-    (tmp_path / "before").mkdir()
-    (tmp_path / "after.toml").write_text('[initial]\nrun = "before"\n')
-    run, digests = tmp_path / "before" / "solution.nc", set()
+def test_a_scene_that_starts_from_a_run_is_another_when_the_run_is(tmp_path):
+    (tmp_path / "after.toml").write_text('[initial]\nrun = "solution.nc"\n')
+    run, digests = tmp_path / "solution.nc", set()
     for content in (b"one", b"two", b"one"):
         run.write_bytes(content)
         digests.add(find_source("after.toml", tmp_path).digest)

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 
-STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Rows(Brief):
     """Rows E of the velocity whose forces are bounded, those of a block together.

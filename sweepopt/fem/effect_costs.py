@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.checks import count
+from sweepopt.checks import at_path, count
 from sweepopt.errors import InputError
 from sweepopt.fem.scene import Scene
 from sweepopt.fem.scene_file import changed, effect_tables, load_scene, read_scene, remaining
@@ -58,9 +58,10 @@ def compare_effects(
     import pandas as pd
 
     steps = count("steps", steps)
-    whole = read_scene(source, changes=changes, without=without)
-    data, folder, _ = load_scene(source)
-    data = changed(data, changes or {})
+    data, folder, where = load_scene(source)
+    with at_path(where):
+        data = changed(data, changes or {})
+        whole = read_scene(data, folder=folder, without=without)
     costs = {"all effects": _cost(whole, steps)}
     for label in remaining(list(effect_tables(data["effects"])), without):
         name = label.removeprefix("effects.")

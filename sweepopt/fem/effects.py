@@ -109,9 +109,6 @@ class Effect(Protocol):
     - ``turned``: boundaries on which it acts on the normal or the tangents, so that unknowns are
       to be the components along these.
     - ``pulled``: the name of a boundary, or a tuple of names, that pictures mark as pulled.
-    - ``moved`` and ``shift(body)``, of springs with a matrix B to a far end that moves by d(t), as
-      in `Foundation`: ``moved`` is d, ``shift(body)`` all degrees of freedom x where d is 1. The
-      picture "loop" shows the force <x, B (d x - u)> of the springs over d.
     - ``flows``: True if the body may have plugs (regions that are rigid below a yield stress),
       which the picture "flow" shows.
     - ``among(effects, body)``: the effect beside all others of its scene, completed by what it
@@ -178,7 +175,7 @@ class Record:
     Attributes
     ----------
     data : tuple of Coefficient
-        Those of the fields that are data in space; `on`, `history` and `moved` are known.
+        Those of the fields that are data in space; `on` and `history` are known.
     """
 
     data: ClassVar[tuple[Coefficient, ...]] = ()
@@ -190,12 +187,11 @@ class Record:
         given = {name: value for name, value in vars(self).items() if value is not None}
         if "on" in vars(self):
             object.__setattr__(self, "on", boundary_names("on", vars(self)["on"]))
-        for name in ("history", "moved"):
-            if name in given and not callable(given[name]):
-                raise InputError(
-                    f"{name} must be a function of time such as Table or Sine, got "
-                    f"{shown(given[name])}"
-                )
+        if "history" in given and not callable(given["history"]):
+            raise InputError(
+                "history must be a function of time such as Table or Sine, got "
+                f"{shown(given['history'])}"
+            )
         for coefficient in self.data:
             if coefficient.name in given:
                 coefficient.check(given[coefficient.name])
@@ -339,8 +335,6 @@ class Dashpot(Record):
     eta : number, formula, mapping of name to number, Profile or callable
         Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume, Pa s along a bar,
         N s/m of a node of a lumped model), >= 0.
-    along : str
-        "all", "x", "y" or "z".
 
     Raises
     ------
@@ -355,7 +349,6 @@ class Dashpot(Record):
 
     on: Sequence[str]
     eta: Datum
-    along: str = "all"
     data = (Coefficient("eta", 0.0),)
 
     def contribute(self, body: Discretisation) -> Contribution:
@@ -367,6 +360,9 @@ class Dashpot(Record):
 class Foundation(Record):
     """``b(u, v) = int k u . v``: Winkler's springs on boundaries, subdomains or the whole body.
 
+    Where the other ends of the springs move by d(t), they add the load ``int k d(t) . v``: a body
+    force or a traction k with the history d.
+
     Parameters
     ----------
     on : str or sequence of str
@@ -374,46 +370,25 @@ class Foundation(Record):
     k : number, formula, mapping of name to number, Profile or callable
         Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume, Pa along a bar, N/m of
         a node of a lumped model), >= 0.
-    along : str
-        As for `Dashpot`.
-    moved : callable, optional
-        d(t) (m): how far the other end of the springs has moved along the direction, which adds
-        the load ``d(t) int k v``. In the plane and in solids `along` is then "x", "y" or "z".
 
     Raises
     ------
     InputError
-        If a name is missing or given twice, k is negative, or what moves has no direction.
+        If a name is missing or given twice, or k is negative.
 
     Examples
     --------
-    >>> Foundation("body", k=2.0, along="x").k
+    >>> Foundation("body", k=2.0).k
     2.0
     """
 
     on: Sequence[str]
     k: Datum
-    along: str = "all"
-    moved: Phi | None = None
     data = (Coefficient("k", 0.0),)
 
     def contribute(self, body: Discretisation) -> Contribution:
-        """The matrix B, and the load of what moves."""
-        B = _mass(body, self)
-        loads: list[Force] = []
-        if self.moved is not None:
-            if body.components > 1 and self.along not in AXES:
-                raise InputError(
-                    f"along must be x, y or z where `moved` is, got {shown(self.along)}"
-                )
-            loads = [(self.moved, body.restrict(B @ self.shift(body)))]
-        return Contribution(B=_restricted(body, self.on, B), loads=loads)
-
-    def shift(self, body: Discretisation) -> Array:
-        """All degrees of freedom where the whole body moves by 1 along the direction."""
-        full = np.zeros(body.nodes.size)
-        full[body.nodes[max(AXES.find(self.along), 0)]] = 1.0
-        return full
+        """The matrix B."""
+        return Contribution(B=_restricted(body, self.on, _mass(body, self)))
 
 
 @dataclass(frozen=True)
@@ -751,7 +726,7 @@ class YieldStress(Record):
     Parameters
     ----------
     g : number, formula, mapping of subdomain to number, Profile or callable
-        Yield stress (Pa), >= 0; a function of x and t moves in time.
+        Yield stress (Pa), >= 0.
 
     Raises
     ------
@@ -774,25 +749,20 @@ class YieldStress(Record):
                 "g: yield stress is for antiplane shear; vectors need an incompressible"
                 " element, which is not offered"
             )
-        place, moves = body.place("on", (BODY,), strains=True), in_time(self.g)
-        dx = place.basis.dx
+        place = body.place("on", (BODY,), strains=True)
+        (g,), dx = self.values_at(place), place.basis.dx
         weight, block = dx.sum(axis=1), body.mesh.dim() * dx.shape[1]
         share = place.shares
         gradients = np.array([phi[0].grad * np.sqrt(share) for phi in place.basis.basis])
         gradients[0] = -gradients[1:].sum(axis=0)  # a constant has none
         E = body.rows(place.basis, gradients)
         E.eliminate_zeros()
-
-        def bound(t: float) -> Array:
-            (g,) = self.values_at(place, t)
-            return np.asarray((g * share).sum(axis=1))
-
-        keep = (np.diff(E.indptr[::block]) > 0) & (moves | (bound(body.start) > 0))
+        bound = (g * share).sum(axis=1)
+        keep = (np.diff(E.indptr[::block]) > 0) & (bound > 0)
         if not keep.any():
             return Contribution()
         chosen = Rows(E[np.repeat(keep, block)], block, weight[keep], "gradient")
-        g: Any = (lambda t: bound(t)[keep]) if moves else bound(body.start)[keep]
-        return Contribution(yields=[Yield(chosen, g)])
+        return Contribution(yields=[Yield(chosen, bound[keep])])
 
     def stress(self, body: Discretisation) -> Stress | None:
         """Where nothing flows it is open."""
@@ -995,17 +965,10 @@ def _restricted(body: Discretisation, on: Sequence[str], x: Any) -> Any:
 
 
 def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
-    """int c u . v of the components along a direction, of all degrees of freedom."""
-    place, along = body.place("on", effect.on, nodal=body.lumped), effect.along
+    """int c u . v of all degrees of freedom."""
+    place = body.place("on", effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
-    choice("along", along, ["all", *(AXES[: body.components] if body.components > 1 else "")])
-
-    def form(u: Any, v: Any, _: Any) -> Any:
-        if along in AXES:
-            u, v = u[AXES.index(along)], v[AXES.index(along)]
-        return c * inner(u, v)
-
-    return place.matrix(form)
+    return place.matrix(lambda u, v, _: c * inner(u, v))
 
 
 def _force(

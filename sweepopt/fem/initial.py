@@ -30,7 +30,7 @@ class Initial(Record):
         stays where it is held, internal unknowns start at zero.
     run : str or Path, optional
         Instead of u: a NetCDF file whose last state is taken: the ``solution.nc`` of ``sweepopt
-        run``, or its folder, or one of ``save="run.nc"`` or `Solution.to_xarray`.
+        run``, or one of ``save="run.nc"`` or `Solution.save`.
 
     Raises
     ------
@@ -67,20 +67,13 @@ class Initial(Record):
         if self.run is None:
             return u0
         path = as_path("run", self.run)
-        path = path / "solution.nc" if path.is_dir() else path
-        labels, last = field_names(fields, size), None
+        labels = field_names(fields, size)
         try:
             with open_run(path) as run:
-                there, kinds = ", ".join(map(str, run)), np.asarray(run.get("field", labels))
-                if "u" in run:
-                    last = run.u.isel(time=-1, missing_dims="ignore").values
+                kinds = np.asarray(run.get("field", labels))
+                last: Array = run.u.isel(time=-1, missing_dims="ignore").values
         except (InputError, DamagedFileError) as error:
             raise InputError(f"run: {str(error).removeprefix('path: ')}") from error
-        if last is None:
-            raise InputError(
-                f"run: {path} has {there or 'no variables'}, but not the variable u, of all "
-                "unknowns; give solution.nc of sweepopt run, or a file of save= or to_xarray"
-            )
         if last.shape != u0.shape or not np.array_equal(kinds, labels):
             raise InputError(
                 f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.fem import output, snapshots
-from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.contact import Slip
 from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
@@ -137,10 +136,10 @@ def contact(report: Report) -> Any:
     from matplotlib.colors import ListedColormap
 
     slip: Any = report.slip
-    figure, driven = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
-    panels = figure.subplots(3 + driven, 1, sharex=True)
+    figure, loaded = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
+    panels = figure.subplots(3 + loaded, 1, sharex=True)
     zone, moved, traction = panels[:3]
-    colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
+    colours = ListedColormap(list(STATE_COLOURS.values()))
     _over_time(report, slip, zone, slip.state, cmap=colours, vmin=-1.5, vmax=1.5)
     # points that slip from little to far
     nodes, arc = spread(slip.total, len(STYLES)), slip.contact.arc
@@ -153,8 +152,8 @@ def contact(report: Report) -> Any:
     name_axis(report, moved.yaxis, "displacement", "length")
     _legend_above(moved)
     traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
-    if driven:
-        _, load, (_, name) = loops(report.scene, report.solution)[0]
+    if loaded:
+        _, load, (_, name) = driven(report.scene, report.solution)
         panels[3].plot(slip.t, load, color="black")
         name_axis(report, panels[3].yaxis, name, "force")
     name_axis(report, panels[-1].xaxis, "time", "time")
@@ -198,63 +197,48 @@ def profiles(report: Report) -> Any:
 
 
 def loop(report: Report) -> Any:
-    """Loads over the displacements that they work on: the area of a loop is what is lost."""
+    """The load over the displacement that it works on: the area of a loop is what is lost."""
     figure = new_figure((6.0, 5.0))
     panel = figure.subplots()
-    for (x, load, words), look in zip(loops(report.scene, report.solution), cycle(LOOKS)):
-        panel.plot(x, load, **look)
-        name_axis(report, panel.xaxis, words[0], "length")
-        name_axis(report, panel.yaxis, words[1], "force")
+    x, load, words = driven(report.scene, report.solution)
+    panel.plot(x, load, **LOOKS[0])
+    name_axis(report, panel.xaxis, words[0], "length")
+    name_axis(report, panel.yaxis, words[1], "force")
     panel.grid(alpha=0.3)
     return figure
 
 
-def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[str, str]]]:
-    """Displacement and load at the times with their names, one pair for each of what drives.
+def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, str]]:
+    """Displacement and load of what drives the scene at the times, with their names.
 
-    Of each foundation whose far end moves, its displacement and force. Else of a prescribed
-    displacement phi d, phi |d| with |d| its largest length, and the reaction
-    <d, A u' + B u> / |d|; else the sum of the nodal forces along
-    the largest load, and the mean displacement along them.
+    Of a prescribed displacement phi d, phi |d| with |d| its largest length, and the reaction
+    <d, A u' + B u> / |d|; else the sum of the nodal forces along the largest load, and the mean
+    displacement along them.
     """
     body, t = scene.discretisation, solution.t
-    springs: Any = [
-        one for one in scene.effects if hasattr(one, "shift") and getattr(one, "moved", None)
-    ]
-    if springs:
-        return [_far_end(scene, solution, spring) for spring in springs]
     if scene.lifts:
         history, d = scene.lifts[0]
         size = float(np.linalg.norm(d[body.nodes], axis=0).max()) or 1.0
         reaction = _reaction(scene, solution, d) / size
-        return [(history(t) * size, reaction, ("prescribed displacement", "reaction"))]
+        return history(t) * size, reaction, ("prescribed displacement", "reaction")
     forces = np.array([scene.load(time)[: body.dim] for time in t])
     largest = forces[np.linalg.norm(forces, axis=1).argmax()]
     nodal = body.expand(largest).reshape(-1, body.components)
     along = largest / (np.linalg.norm(nodal, axis=1).sum() or 1.0)
     load = forces @ along / (along @ along or 1.0)
-    return [(solution.u[:, : body.dim] @ along, load, ("mean displacement along the load", "load"))]
-
-
-def _far_end(scene: Scene, solution: Solution, spring: Any) -> tuple[Array, Array, tuple[str, str]]:
-    """d and <x, B (d x - u)> of springs whose far end moves by d x, with u at all nodes."""
-    d, x = np.array([spring.moved(t) for t in solution.t]), spring.shift(scene.discretisation)
-    k = released_matrices(scene.discretisation, [spring])[1] @ x
-    force = d * (x @ k) - _work(scene, scene.displacement(solution), k)
-    return d, force, ("displacement of the far end", "force of the foundation")
+    return solution.u[:, : body.dim] @ along, load, ("mean displacement along the load", "load")
 
 
 def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
     """<d, A u' + B u> at the times, with u at all nodes."""
     rate, u = scene.velocity(solution), scene.displacement(solution)
     A, B = released_matrices(scene.discretisation, scene.effects)
-    motions = (A, np.concatenate([rate[:1], rate])), (B, u)
-    return sum(_work(scene, motion, M @ d) for M, motion in motions if M is not None)
-
-
-def _work(scene: Scene, motion: Array, force: Array) -> Array:
-    """<force, motion> at the times, of a motion at all nodes."""
-    return motion.reshape(len(motion), -1) @ force[scene.discretisation.nodes.T].ravel()
+    motions, nodes = ((A, np.concatenate([rate[:1], rate])), (B, u)), scene.discretisation.nodes
+    return sum(
+        motion.reshape(len(motion), -1) @ (M @ d)[nodes.T].ravel()
+        for M, motion in motions
+        if M is not None
+    )
 
 
 def _legend_above(panel: Any) -> None:

@@ -575,11 +575,10 @@ def _contribution(
         part = _valid_contribution(
             result_of(effect.contribute, space, f"{label}.contribute"), space
         )
-    for name in ("history", "moved"):
-        if (history := getattr(effect, name, None)) is not None and t_end is not None:
-            with at_path(f"{label}.{name}."):
-                for t in (space.start, t_end):
-                    history(t)
+    if (history := getattr(effect, "history", None)) is not None and t_end is not None:
+        with at_path(f"{label}.history."):
+            for t in (space.start, t_end):
+                history(t)
     return part
 
 

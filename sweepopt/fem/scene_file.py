@@ -125,7 +125,7 @@ def read_scene(
         end = 10.0
         steps = 400
         [initial]                       # optional: the displacement at t = 0
-        u = "0.1 * x"                   # or run = "../results/tube" (from here): its end
+        u = "0.1 * x"                   # or run = "../results/tube/solution.nc": its end
         [solve]                         # optional: scheme, solver, tol of sweepopt.solve
         [effects.viscosity]
         eta = { core = 1.0, sleeve = 0.2 }
@@ -230,7 +230,7 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
         return _called(chain if "nodes" in value else grid, value, path, folder)
     if key in ("mesh", "csv", "run"):
         return folder / as_path(path, value)
-    if key in ("history", "moved"):
+    if key == "history":
         return _history(value, path, folder)
     if key == "slip":
         return _called(SlipWeakening, value, path, folder)

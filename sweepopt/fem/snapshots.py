@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.fem.contact import STATES, Slip, signed_lengths
+from sweepopt.fem.contact import Slip, signed_lengths
 from sweepopt.fem.spaces import boundary_names
 from sweepopt.plot import STICK, even_steps, frame_steps, new_figure, write_animation
 
@@ -281,9 +281,10 @@ def states_of(slip: Slip | None) -> dict[str, str]:
     """What the colours of nodes with friction mean that occur; of vectors slip has no sign."""
     if slip is None:
         return {}
-    names = {0: "sticks", 1: "slips"} if slip.velocity.ndim > 2 else STATES
-    present = {k: name.replace("_", " ") for k, name in names.items() if (slip.state == k).any()}
-    return {STATE_COLOURS[k]: name for k, name in present.items()}
+    names = {-1: "slips backward", 0: "sticks", 1: "slips forward"}
+    if slip.velocity.ndim > 2:
+        names = {0: "sticks", 1: "slips"}
+    return {STATE_COLOURS[k]: name for k, name in names.items() if (slip.state == k).any()}
 
 
 def _fill(report: Report, panel: Any, *values: Array, **look: Any) -> Any:
@@ -318,19 +319,14 @@ def off_screen() -> Any:
     """
     if not find_spec("pyvista"):
         return None
-    window = {}
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        window["VTK_DEFAULT_OPENGL_WINDOW"] = "vtkEGLRenderWindow"
-    environment = window | os.environ
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     trial = "import pyvista; pyvista.Plotter(off_screen=True).screenshot(return_img=True)"
     try:
-        drawn = run([sys.executable, "-c", trial], capture_output=True, timeout=60, env=environment)
+        drawn = run([sys.executable, "-c", trial], capture_output=True, timeout=60)
     except TimeoutExpired:  # some drivers hang
         return None
-    if drawn.returncode:
-        return None
-    os.environ.update(environment)
-    return import_module("pyvista")
+    return None if drawn.returncode else import_module("pyvista")
 
 
 def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any:

@@ -74,12 +74,12 @@ class Discretisation(Brief):
         Components that are zero on a boundary: letters of "xyz" and "n" (normal), such as
         ``{"axis": "n", "foot": "xy"}``. At a node the normal is the mean of those of the boundary's
         facets.
-    turned : sequence of str
-        Boundaries where the unknowns of a node are the components along its normal and its
-        tangents; scenes turn those with friction.
 
     Attributes
     ----------
+    turned : sequence of str
+        Boundaries where the unknowns of a node are the components along its normal and its
+        tangents; scenes turn those with friction.
     dim : int
         Number of unknowns.
     components : int
@@ -113,7 +113,7 @@ class Discretisation(Brief):
     refinements: int = 0
     kind: str = "antiplane"
     held: Mapping[str, str] = field(default_factory=dict)
-    turned: Sequence[str] = ()
+    turned: Sequence[str] = field(default=(), init=False)
     start = 0.0  # of the scene that is built on it: when functions of time may be called
 
     def __post_init__(self) -> None:

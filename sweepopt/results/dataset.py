@@ -214,24 +214,14 @@ def _end_with_checksum(file: BytesIO | FileIO) -> None:
 
 
 def _check(path: Path) -> None:
-    """Raise DamagedFileError if a file is not what was written, before HDF5 reads a byte of it.
-
-    A file that another program wrote has no checksum, and nothing behind the end that HDF5 knows.
-    """
+    """Raise DamagedFileError if a file is not what was written, before HDF5 reads a byte of it."""
     content = np.memmap(path, np.uint8, "r") if path.stat().st_size else np.zeros(0, np.uint8)
     before, last = np.split(content, [-len(MARK) - hashlib.sha256().digest_size])
-    if last.tobytes().startswith(MARK):
-        if hashlib.sha256(before.data).digest() != last[len(MARK) :].tobytes():
-            raise DamagedFileError(f"{path} is damaged: its checksum is not that of what is in it")
-        return
-    head = content[:48].tobytes()
-    if head[:8] != b"\x89HDF\r\n\x1a\n":
-        kind = "damaged or no NetCDF file"
-        if head[:2] == b"PK":
-            kind = "a zip file, such as a checkpoint, which so.resume reads"
-        raise DamagedFileError(f"{path} is {kind}")
-    if head[8] >= 2 and int.from_bytes(head[28:36], "little") != content.size:
-        raise DamagedFileError(f"{path} is damaged: bytes are missing or too many at its end")
+    if last.tobytes() != MARK + hashlib.sha256(before.data).digest():
+        raise DamagedFileError(
+            f"{path} is damaged, or no file that this library wrote: what xarray has written again "
+            "is read by xarray.open_dataset, a checkpoint by so.resume"
+        )
 
 
 def _dump(dataset: xr.Dataset, file: Any) -> None:
@@ -248,9 +238,8 @@ def _dump(dataset: xr.Dataset, file: Any) -> None:
     dataset.dump_to_store(H5NetCDFStore(file), encoding=encoding)
 
 
-@contextmanager
-def open_run(path: str | PathLike[str]) -> Iterator[xr.Dataset]:
-    """What `to_xarray` or `sweepopt run` made of a run, from the file that it was written to.
+def open_run(path: str | PathLike[str]) -> xr.Dataset:
+    """What was written of a run by `netcdf_bytes` or a `NetCDFSink`; close it, or use it by with.
 
     Raises
     ------
@@ -259,8 +248,7 @@ def open_run(path: str | PathLike[str]) -> Iterator[xr.Dataset]:
     MissingExtraError
         If h5netcdf or xarray is not installed.
     DamagedFileError
-        If it is not as it was written, by its checksum; or by what HDF5 sees, where another program
-        wrote it again and left the checksum out.
+        If it is not as it was written, by its checksum.
     """
     netcdf_package()
     import xarray
@@ -270,11 +258,7 @@ def open_run(path: str | PathLike[str]) -> Iterator[xr.Dataset]:
         remedy = "; it is a folder, name the file in it" if file_of_run.is_dir() else ""
         raise InputError(f"path: there is no file {path}{remedy}")
     _check(file_of_run)
-    try:
-        with xarray.open_dataset(file_of_run, engine="h5netcdf") as run:
-            yield run
-    except Exception as error:  # h5py has no list of what it raises
-        raise DamagedFileError(f"{path} is damaged or no NetCDF file ({error})") from error
+    return xarray.open_dataset(file_of_run, engine="h5netcdf")
 
 
 # ---- datasets -----------------------------------------------------------------------------------

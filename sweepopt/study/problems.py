@@ -184,9 +184,8 @@ def from_coarser(source: Source, coarse: Source) -> Any:
 
 
 def _digest(path: Path) -> str:
-    """Of a file, of its mesh, of its tables and of the run it starts from, or that run's folder."""
+    """Of a file, of its mesh, of its tables and of the run it starts from."""
     files = [path, *(path.parent / name for name in _file_names(read_toml(path)))]
-    files = [file / "solution.nc" if file.is_dir() else file for file in files]
     parts = [hashlib.sha256(read_bytes(file)).digest() for file in files]
     return hashlib.sha256(b"".join(parts)).hexdigest()
 
