@@ -182,6 +182,9 @@ class Record:
     """
 
     data: ClassVar[tuple[Coefficient, ...]] = ()
+    meaning: ClassVar[dict[str, str]] = dict.fromkeys(
+        ("title", "units", "pictures"), "; a key of the scene itself stands above its first table"
+    )
 
     def __init_subclass__(cls) -> None:
         cls.__repr__ = by_parts  # type: ignore[method-assign]  # without the fields that are None

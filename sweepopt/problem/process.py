@@ -135,6 +135,7 @@ class SweepingProcess(Displayed):
     ) -> None:
         self.A, self.B, sizes = _matrices(A, B)
         if callable(C) and not isinstance(C, (type, MovingSet)):
+            takes("C", C, "t")
             C = MovingSet(C)
         if not isinstance(C, (ConvexSet, MovingSet)):
             raise InputError(
@@ -466,6 +467,7 @@ class SweepingProcess(Displayed):
     J="; J is the support function of the set dissipation",
     D="; D is dissipation",
     friction="; a friction bound g is dissipation=so.Box(-g, g)",
+    mu="; a friction bound g is dissipation=so.Box(-g, g)",
     g="; a friction bound g is dissipation=so.Box(-g, g)",
     K="; a stiffness is B, the cone K is cone",
     x0="; the start is u0",
