@@ -253,8 +253,7 @@ def _find(pattern: str, name: str, what: str) -> Path:
     known = {path.stem: path for path in _problems().glob(pattern)}
     if name not in known:
         names = ", ".join(sorted(known)) or "none"
-        hint = suggestion(name, [*known, *map(str, Path().glob("*.toml"))])
-        raise InputError(f"{name!r} is neither {what}; there are: {names}{hint}")
+        raise InputError(f"{name!r} is neither {what}; there are: {names}{suggestion(name, known)}")
     return known[name]
 
 

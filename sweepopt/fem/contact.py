@@ -342,9 +342,7 @@ def _thresholds(law: Friction, place: Place, size: int, t: float) -> Array:
 
 def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
     """|diag(axes) v|^2 for the velocity v = sum of directions of a node times its unknowns."""
-    scale = np.asarray(axes)
-    if scale.size != body.components:
-        raise InputError(f"axes must be {body.components} numbers > 0, one for each of x, y ...")
+    scale = vector("axes", axes, body.components)
     dofs = body.nodes.T[nodes]
     R = np.array([body.extension[i][:, k].toarray() for i, k in zip(dofs, columns, strict=True)])
     scaled = scale[:, None] * R

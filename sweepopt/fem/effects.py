@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from skfem.helpers import dot
 
-from sweepopt.checks import choice, listed, matrix, number, vector
+from sweepopt.checks import choice, listed, number, symmetric, vector
 from sweepopt.display import Brief, by_parts
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Rows, Yield, friction_on
@@ -182,7 +182,7 @@ class Record:
     """
 
     data: ClassVar[tuple[Coefficient, ...]] = ()
-    meaning: ClassVar[dict[str, str]] = dict.fromkeys(
+    meaning = dict.fromkeys(
         ("title", "units", "pictures"), "; a key of the scene itself stands above its first table"
     )
 
@@ -419,10 +419,8 @@ class Foundation(Record):
         B = _mass(body, self)
         loads: list[Force] = []
         if self.moved is not None:
-            if body.components > 1 and self.along not in AXES:
-                raise InputError(
-                    f"along must be x, y or z where `moved` is, got {shown(self.along)}"
-                )
+            if body.components > 1:
+                choice("along, where `moved` is,", self.along, AXES)
             loads = [(self.moved, body.restrict(B @ self.shift(body)))]
         return Contribution(B=_restricted(body, self.on, B), loads=loads)
 
@@ -804,11 +802,12 @@ class YieldStress(Record):
             (g,) = self.values_at(place, t)
             return np.asarray((g * share).sum(axis=1))
 
-        keep = (np.diff(E.indptr[::block]) > 0) & (moves | (bound(body.start) > 0))
+        at_start = bound(body.start)
+        keep = (np.diff(E.indptr[::block]) > 0) & (moves | (at_start > 0))
         if not keep.any():
             return Contribution()
         chosen = Rows(E[np.repeat(keep, block)], block, weight[keep], "gradient")
-        g: Any = (lambda t: bound(t)[keep]) if moves else bound(body.start)[keep]
+        g: Any = (lambda t: bound(t)[keep]) if moves else at_start[keep]
         return Contribution(yields=[Yield(chosen, g)])
 
     def stress(self, body: Discretisation) -> Stress | None:
@@ -978,9 +977,7 @@ def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[i
     d = body.mesh.dim()
     size = d if body.components == 1 else d * (d + 1) // 2
     if tensor is not None:
-        C = np.asarray(matrix("tensor", tensor))
-        if C.shape != (size, size) or not np.array_equal(C, C.T):
-            raise InputError(f"tensor must be symmetric of shape ({size}, {size})")
+        C = np.asarray(symmetric("tensor", tensor, size))
         if np.linalg.eigvalsh(C)[0] < 0:
             raise InputError("tensor must be positive semidefinite; it has a negative eigenvalue")
         return {(i, j): C[i, j] for i, j in np.argwhere(C).tolist()}

@@ -587,8 +587,7 @@ def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
         if (given := getattr(part, name)) is not None:
             M = symmetric(name, given)
             fits(name, M.shape[0])
-            if getattr(given, "format", "") not in ("csc", "csr"):  # others have no slices
-                part = replace(part, **{name: sp.csc_array(M)})
+            part = replace(part, **{name: sp.csc_array(M)})  # not all formats have slices
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
             raise InputError(f"{name} must be a list, [...], got {shown(getattr(part, name))}")
