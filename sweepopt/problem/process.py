@@ -94,11 +94,11 @@ class SweepingProcess(Displayed):
     Parameters
     ----------
     A : array_like or sparse, shape (dim, dim), or None
-        Symmetric positive semidefinite, a number for one unknown; None is 0. Where it is singular,
-        as for bodies that are elastic in parts, u0 must be compatible: `compatible_start` computes
-        one that is.
+        Symmetric positive semidefinite, a number for one unknown; None or 0 is A = 0. Where it is
+        singular, as for bodies that are elastic in parts, u0 must be compatible:
+        `compatible_start` computes one that is.
     B : array_like or sparse, shape (dim, dim), or None
-        Symmetric positive semidefinite; None leaves it out. A and B have no common kernel.
+        Symmetric positive semidefinite; None or 0 leaves it out. A and B have no common kernel.
     C : ConvexSet, MovingSet or callable
         The constraint set, of dimension dim, or a function of t that returns it. A `StateDependent`
         one makes the problem quasi-variational: the constraint is C(t, u(t)).
@@ -563,9 +563,13 @@ class EvolutionVI(SweepingProcess):
 
 def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
     """A, zero where it is left out, B, and the numbers of unknowns of those that are given."""
-    given = {name: symmetric(name, M) for name, M in (("A", A), ("B", B)) if M is not None}
+    given = {
+        name: symmetric(name, M)
+        for name, M in (("A", A), ("B", B))
+        if not (M is None or (np.isscalar(M) and M == 0))  # of any number of unknowns
+    }
     if not given:
-        raise InputError("A and B are both None: nothing determines the velocity; give one of them")
+        raise InputError("A and B are both zero: nothing determines the velocity; give one of them")
     sizes = {name: M.shape[0] for name, M in given.items()}
     for name, M in given.items():
         if isinstance(M, np.ndarray) and len(M) >= MANY and np.count_nonzero(M) < M.size / 10:
