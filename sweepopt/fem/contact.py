@@ -101,8 +101,9 @@ class Yield(Brief):
         if rest:
             raise InputError(f"rows.E has {rows.E.shape[0]} rows, no blocks of {rows.block}")
         g = self.g(start) if callable(self.g) else self.g
-        for name, given in (("g", g), ("rows.weight", rows.weight)):
-            values = vector(name, given, blocks if np.ndim(given) else None, finite=False)
+        sizes = blocks if np.ndim(g) else None, blocks
+        for name, given, size in zip(("g", "rows.weight"), (g, rows.weight), sizes, strict=True):
+            values = vector(name, given, size, finite=False)
             if (values < 0).any():
                 raise InputError(f"{name} must be >= 0, got {values.min():g}")
 

@@ -602,8 +602,8 @@ def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
         fits(f"loads[{k}]", vector(f"loads[{k}]", f(space.start) if callable(f) else f).size)
     for k, one in enumerate(part.yields):
-        if not isinstance(one, Yield):
-            raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
+        if not (isinstance(one, Yield) and hasattr(one.rows, "E")):
+            raise InputError(f"yields[{k}] must be a Yield of Rows, got {shown(one)}")
         with at_path(f"yields[{k}]."):
             fits("rows.E", matrix("rows.E", one.rows.E).shape[1])
             one.check(space.start)
