@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, entries, matrix, number, with_checks
+from sweepopt.checks import HUGE, TIME_SLACK, at_path, entries, matrix, number, with_checks
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
@@ -81,9 +81,8 @@ class Table(Brief, History):
                 f"{path}, row {rows[k]}: time {times[k]:g} does not come after "
                 f"{times[k - 1]:g}; times must increase strictly"
             )
-        if len(times) < 2:
-            raise InputError(f"{path}: {len(times)} data rows; a history needs two or more")
-        return cls(times, factor * values)
+        with at_path(f"{path}: "):
+            return cls(times, factor * values)
 
     def __call__(self, t: ArrayLike) -> Any:
         at = self._inside(t)
