@@ -264,9 +264,7 @@ class SweepingProcess(Displayed):
     def state_rate(self) -> float:
         """The largest eigenvalue of A^-1 L, L the Lipschitz matrix of C(t, u); 0 of a C(t)."""
         C = self.C
-        if not (isinstance(C, StateDependent) and abs(C.lipschitz).max()):
-            return 0.0
-        return largest_ratio(self.metric, C.lipschitz)
+        return largest_ratio(self.metric, C.lipschitz) if isinstance(C, StateDependent) else 0.0
 
     def contraction(self, gamma: float) -> float:
         """By how much a set C(t, u + gamma z) that is z's own brings two velocities z together.
@@ -275,8 +273,8 @@ class SweepingProcess(Displayed):
         gamma times the largest eigenvalue of M^-1 L, L the Lipschitz matrix of C. It is 0 where C
         does not depend on the state or the stage is explicit.
         """
-        C = self.C
-        if not (isinstance(C, StateDependent) and gamma and abs(C.lipschitz).max()):
+        C: Any = self.C
+        if not (gamma and self.state_rate):
             return 0.0
         M = self.A if self.B is None else self.A + gamma * self.B
         try:
