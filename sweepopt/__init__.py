@@ -184,7 +184,10 @@ def __getattr__(name: str) -> Any:
                 return globals()[name]
     from sweepopt.errors import suggestion
 
-    raise AttributeError(f"sweepopt has no attribute {name!r}{suggestion(name, __all__)}")
+    raise AttributeError(
+        f"sweepopt has no attribute {name!r}{suggestion(name, __all__)}; effects and meshes of "
+        "bodies are in sweepopt.fem"
+    )
 
 
 def __dir__() -> list[str]:

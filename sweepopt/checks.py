@@ -242,8 +242,8 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     """One of the words that are allowed."""
     words = tuple(allowed)
     if not isinstance(value, str) or value not in words:
-        hint = suggestion(value, words)
-        raise InputError(f"{name} must be one of {', '.join(words)}; got {shown(value)}{hint}")
+        known, hint = ", ".join(words) or "'' (left out)", suggestion(value, words)
+        raise InputError(f"{name} must be one of {known}; got {shown(value)}{hint}")
     return value
 
 
@@ -364,7 +364,8 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
         return result
     except (TypeError, ValueError, OverflowError) as error:
         reason, several = str(error), (list, tuple)
-        pairs = [one for one in value if isinstance(one, several)] if type(value) in several else []
+        pairs = value if isinstance(value, several) else []
+        pairs = [one if isinstance(one, several) else [one] for one in pairs]
         if any(callable(part) for pair in pairs for part in pair):
             reason = "histories with their vectors are so.Separable([(phi, f), ...])"
         raise InputError(f"{name} must be {what}, got {shown(value)} ({reason})") from error

@@ -65,6 +65,7 @@ HOPELESS = 100 * STEPS  # by the order of the scheme, from the first grid, which
 
 
 @meaning(
+    u0="; the problem is stated first: so.solve(so.SweepingProcess(A, B, C, u0), t_end=1.0)",
     T="; give t_end",
     dt="; give steps=round(t_end / dt)",
     h="; give steps=round(t_end / h)",

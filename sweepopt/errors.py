@@ -34,12 +34,10 @@ def suggestion(word: object, known: Iterable[str]) -> str:
 
     The part behind a hyphen is enough: "euler" and "backward-euler" are near "implicit-euler".
     """
-    if not isinstance(word, str):
-        return ""
     words = {part: one for one in known for part in (one.lower().rpartition("-")[2], one.lower())}
-    forms = word.lower(), word.lower().rpartition("-")[2]
-    near = [words[one] for form in forms for one in get_close_matches(form, words, 1)]
-    return f"; did you mean {near[0]}?" if near else ""
+    last = word.lower().rpartition("-")[2] if isinstance(word, str) else ""
+    near = get_close_matches(last, words, 1)
+    return f"; did you mean {words[near[0]]}?" if near else ""
 
 
 def result_of(function: Callable[[Any], Any], argument: Any, name: str) -> Any:

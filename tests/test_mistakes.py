@@ -106,6 +106,10 @@ def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set():
     np.testing.assert_allclose(run(play, t_end=4.0)(4.0), (6.0 - 1.0) / 2.0, rtol=1e-12)
     elastic = so.EvolutionVI(None, 2.0, load=lambda t: 1.5 * t, dissipation=BOX, u0=0.0)
     np.testing.assert_allclose(run(elastic, t_end=4.0)(4.0), 2.5, rtol=1e-12)
+    for zero in (None, 0, 0.0):
+        two = so.SweepingProcess(zero, np.eye(2), so.Ball([0.0, 0.0], 1.0), [0.0, 0.0])
+        assert two.A.shape == (2, 2)
+        assert two.rate_independent
 
 
 def test_an_effect_that_is_registered_as_an_object_is_named(monkeypatch):

@@ -98,8 +98,9 @@ class Yield(Brief):
         if rest:
             raise InputError(f"rows.E has {rows.E.shape[0]} rows, no blocks of {rows.block}")
         g = self.g(start) if callable(self.g) else self.g
-        for name, given in (("g", g), ("rows.weight", rows.weight)):
-            values = vector(name, given, blocks if np.ndim(given) else None, finite=False)
+        sizes = blocks if np.ndim(g) else None, blocks
+        for name, given, size in zip(("g", "rows.weight"), (g, rows.weight), sizes, strict=True):
+            values = vector(name, given, size, finite=False)
             if (values < 0).any():
                 raise InputError(f"{name} must be >= 0, got {values.min():g}")
 
@@ -339,9 +340,7 @@ def _thresholds(law: Friction, place: Place, size: int, t: float) -> Array:
 
 def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
     """|diag(axes) v|^2 for the velocity v = sum of directions of a node times its unknowns."""
-    scale = np.asarray(axes)
-    if scale.size != body.components:
-        raise InputError(f"axes must be {body.components} numbers > 0, one for each of x, y ...")
+    scale = vector("axes", axes, body.components)
     dofs = body.nodes.T[nodes]
     R = np.array([body.extension[i][:, k].toarray() for i, k in zip(dofs, columns, strict=True)])
     scaled = scale[:, None] * R

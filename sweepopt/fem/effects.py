@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from skfem.helpers import dot, inner
 
-from sweepopt.checks import choice, listed, matrix, number, vector
+from sweepopt.checks import choice, listed, number, symmetric, vector
 from sweepopt.display import Brief, by_parts
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Rows, Yield, friction_on
@@ -179,6 +179,9 @@ class Record:
     """
 
     data: ClassVar[tuple[Coefficient, ...]] = ()
+    meaning = dict.fromkeys(
+        ("title", "units", "pictures"), "; a key of the scene itself stands above its first table"
+    )
 
     def __init_subclass__(cls) -> None:
         cls.__repr__ = by_parts  # type: ignore[method-assign]  # without the fields that are None
@@ -929,9 +932,7 @@ def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[i
     d = body.mesh.dim()
     size = d if body.components == 1 else d * (d + 1) // 2
     if tensor is not None:
-        C = np.asarray(matrix("tensor", tensor))
-        if C.shape != (size, size) or not np.array_equal(C, C.T):
-            raise InputError(f"tensor must be symmetric of shape ({size}, {size})")
+        C = np.asarray(symmetric("tensor", tensor, size))
         if np.linalg.eigvalsh(C)[0] < 0:
             raise InputError("tensor must be positive semidefinite; it has a negative eigenvalue")
         return {(i, j): C[i, j] for i, j in np.argwhere(C).tolist()}

@@ -600,8 +600,7 @@ def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
         if (given := getattr(part, name)) is not None:
             M = symmetric(name, given)
             fits(name, M.shape[0])
-            if getattr(given, "format", "") not in ("csc", "csr"):  # others have no slices
-                part = replace(part, **{name: sp.csc_array(M)})
+            part = replace(part, **{name: sp.csc_array(M)})  # not all formats have slices
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
             raise InputError(f"{name} must be a list, [...], got {shown(getattr(part, name))}")
@@ -612,8 +611,8 @@ def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
         fits(f"loads[{k}]", vector(f"loads[{k}]", f(space.start) if callable(f) else f).size)
     for k, one in enumerate(part.yields):
-        if not isinstance(one, Yield):
-            raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
+        if not (isinstance(one, Yield) and hasattr(one.rows, "E")):
+            raise InputError(f"yields[{k}] must be a Yield of Rows, got {shown(one)}")
         with at_path(f"yields[{k}]."):
             fits("rows.E", matrix("rows.E", one.rows.E).shape[1])
             one.check(space.start)

@@ -280,7 +280,10 @@ def _history(table: Any, path: str, folder: Path) -> Any:
         case {"table": points, **others} if not others:
             return _called(_points, points, f"{path}.table", folder)
     given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)
-    raise InputError(f"{path}: must have one of csv, waveform or table; got {given}")
+    raise InputError(
+        f'{path}: must have one of csv, waveform or table, such as {{ waveform = "sine", amplitude '
+        f"= 1.0, period = 4.0 }}; got {given}"
+    )
 
 
 def _time(end: float, steps: int) -> dict[str, Any]:

@@ -124,7 +124,7 @@ class SolveOptions:
         """How the process is simulated; C(t) is checked at all times that are asked for."""
         for history in histories_of(process.C, inside=False):
             if isinstance(history, Table):
-                history.check_run(float(times[0]), float(times[-1]))
+                history(times[[0, -1]])  # outside of the table there is none
         members = process.check(evaluation_times(times, mus, scheme))
         plan = make_plan(process, members, scheme, self.solver, self.tol, self.path)
         plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))

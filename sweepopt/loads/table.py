@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, entries, matrix, number, with_checks
+from sweepopt.checks import HUGE, TIME_SLACK, at_path, entries, matrix, number, with_checks
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
@@ -81,9 +81,8 @@ class Table(Brief, History):
                 f"{path}, row {rows[k]}: time {times[k]:g} does not come after "
                 f"{times[k - 1]:g}; times must increase strictly"
             )
-        if len(times) < 2:
-            raise InputError(f"{path}: {len(times)} data rows; a history needs two or more")
-        return cls(times, factor * values)
+        with at_path(f"{path}: "):
+            return cls(times, factor * values)
 
     def __call__(self, t: ArrayLike) -> Any:
         at = self._inside(t)
@@ -98,8 +97,9 @@ class Table(Brief, History):
         outside = (at < first - slack) | (at > last + slack)
         if np.any(outside):
             raise InputError(
-                f"t = {np.asarray(at)[outside].flat[0]:g} lies outside the table, which covers "
-                f"[{first:g}, {last:g}]; extend the table or shorten the run"
+                f"t = {np.asarray(at)[outside].flat[0]:.12g} lies outside the table, which covers "
+                f"[{first:.12g}, {last:.12g}]; extend the table, or let the run lie within it, "
+                f"t_end = {last:.12g}"
             )
         return at
 
@@ -107,17 +107,6 @@ class Table(Brief, History):
         """phi' at times that are no breakpoints."""
         k = np.clip(np.searchsorted(self.times, self._inside(t)) - 1, 0, self.times.size - 2)
         return (self.values[k + 1] - self.values[k]) / (self.times[k + 1] - self.times[k])
-
-    def check_run(self, start: float, end: float) -> None:
-        """Refuse a run that goes on where the table says nothing."""
-        try:
-            self._inside([start, end])
-        except InputError as error:
-            raise InputError(
-                f"a table of the load or of C(t) covers [{self.times[0]:.12g}, "
-                f"{self.times[-1]:.12g}], but the run [{start:.12g}, {end:.12g}]: "
-                f"extend the table, or let the run end with it, t_end = {self.times[-1]:.12g}"
-            ) from error
 
     def breakpoints(self, a: float, b: float) -> Array:
         """The table's times strictly inside (a, b)."""

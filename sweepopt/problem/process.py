@@ -94,11 +94,11 @@ class SweepingProcess(Displayed):
     Parameters
     ----------
     A : array_like or sparse, shape (dim, dim), or None
-        Symmetric positive semidefinite, a number for one unknown; None is 0. Where it is singular,
-        as for bodies that are elastic in parts, u0 must be compatible: `compatible_start` computes
-        one that is.
+        Symmetric positive semidefinite, a number for one unknown; None or 0 is A = 0. Where it is
+        singular, as for bodies that are elastic in parts, u0 must be compatible:
+        `compatible_start` computes one that is.
     B : array_like or sparse, shape (dim, dim), or None
-        Symmetric positive semidefinite; None leaves it out. A and B have no common kernel.
+        Symmetric positive semidefinite; None or 0 leaves it out. A and B have no common kernel.
     C : ConvexSet, MovingSet or callable
         The constraint set, of dimension dim, or a function of t that returns it. A `StateDependent`
         one makes the problem quasi-variational: the constraint is C(t, u(t)).
@@ -135,6 +135,7 @@ class SweepingProcess(Displayed):
     ) -> None:
         self.A, self.B, sizes = _matrices(A, B)
         if callable(C) and not isinstance(C, (type, MovingSet)):
+            takes("C", C, "t")
             C = MovingSet(C)
         if not isinstance(C, (ConvexSet, MovingSet)):
             raise InputError(
@@ -263,9 +264,7 @@ class SweepingProcess(Displayed):
     def state_rate(self) -> float:
         """The largest eigenvalue of A^-1 L, L the Lipschitz matrix of C(t, u); 0 of a C(t)."""
         C = self.C
-        if not (isinstance(C, StateDependent) and abs(C.lipschitz).max()):
-            return 0.0
-        return largest_ratio(self.metric, C.lipschitz)
+        return largest_ratio(self.metric, C.lipschitz) if isinstance(C, StateDependent) else 0.0
 
     def contraction(self, gamma: float) -> float:
         """By how much a set C(t, u + gamma z) that is z's own brings two velocities z together.
@@ -274,8 +273,8 @@ class SweepingProcess(Displayed):
         gamma times the largest eigenvalue of M^-1 L, L the Lipschitz matrix of C. It is 0 where C
         does not depend on the state or the stage is explicit.
         """
-        C = self.C
-        if not (isinstance(C, StateDependent) and gamma and abs(C.lipschitz).max()):
+        C: Any = self.C
+        if not (gamma and self.state_rate):
             return 0.0
         try:
             metric = Factor(self.matrix(gamma), "A + gamma B")
@@ -469,6 +468,7 @@ class SweepingProcess(Displayed):
     J="; J is the support function of the set dissipation",
     D="; D is dissipation",
     friction="; a friction bound g is dissipation=so.Box(-g, g)",
+    mu="; a friction bound g is dissipation=so.Box(-g, g)",
     g="; a friction bound g is dissipation=so.Box(-g, g)",
     K="; a stiffness is B, the cone K is cone",
     x0="; the start is u0",
@@ -564,9 +564,13 @@ class EvolutionVI(SweepingProcess):
 
 def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
     """A, zero where it is left out, B, and the numbers of unknowns of those that are given."""
-    given = {name: symmetric(name, M) for name, M in (("A", A), ("B", B)) if M is not None}
+    given = {
+        name: symmetric(name, M)
+        for name, M in (("A", A), ("B", B))
+        if not (M is None or (np.isscalar(M) and M == 0))  # of any number of unknowns
+    }
     if not given:
-        raise InputError("A and B are both None: nothing determines the velocity; give one of them")
+        raise InputError("A and B are both zero: nothing determines the velocity; give one of them")
     sizes = {name: M.shape[0] for name, M in given.items()}
     for name, M in given.items():
         if isinstance(M, np.ndarray) and len(M) >= MANY and np.count_nonzero(M) < M.size / 10:

@@ -51,7 +51,12 @@ if TYPE_CHECKING:
     from sweepopt.integrate import Trajectory
 
 
-SCIPY = {"y": "the states are u, one row a time", "sol": "the solution is a function: call it"}
+SCIPY = {
+    "y": "the states are u, one row a time",
+    "x": "the states are u, one row a time",
+    "times": "the times are t",
+    "sol": "the solution is a function: call it",
+}
 """Attributes of the answer of SciPy's solve_ivp, and what stands here for them."""
 
 
@@ -90,6 +95,7 @@ class Solution(Displayed):
     statistics : Statistics
         What `stats` is made of.
     status : Status
+        Such as `so.Status.SUCCESS`, no text; `success` says whether the run reached its end.
     cause : str
         Which step failed and why, when the run stopped at it.
     recorded : list or None
