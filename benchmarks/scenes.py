@@ -38,7 +38,7 @@ from sweepopt import fem
 from sweepopt.fem import Effect, Scene, read_scene
 from sweepopt.linalg import Factor
 from sweepopt.loads import Sine, Table
-from sweepopt.velocity import matrix, untranslated
+from sweepopt.velocity import untranslated
 
 PARAMETERS = 15_000  # a dense matrix of the square takes 1.8 GB, cvxpy 5 GB
 E, SIGMA_Y, E_T = 70_000.0, 250.0, 700.0  # of the ring
@@ -151,7 +151,7 @@ def by_cvxpy(scene: Scene, mu: float) -> Callable[[np.ndarray, float], tuple[np.
     z, S = cp.Variable(process.dim), untranslated(process.C.at(0.0)).S
     few = S.selection
     support, constraints = few.part.epigraph(-z[few.unknowns]) if few else S.epigraph(-z)
-    energy = 0.5 * cp.quad_form(z, cp.psd_wrap(matrix(process, mu))) + support
+    energy = 0.5 * cp.quad_form(z, cp.psd_wrap(process.matrix(mu))) + support
     parameter = cp.Parameter(process.dim)
     known = cp.Problem(cp.Minimize(energy + parameter @ z), constraints)
 
@@ -175,7 +175,7 @@ def compare(name: str, size: int) -> None:
     scene = make(size)
     run, ours = timed(scene, t_end, steps)
     memory = peak()
-    solve, M = by_cvxpy(scene, t_end / steps), Factor(matrix(scene.process, t_end / steps))
+    solve, M = by_cvxpy(scene, t_end / steps), Factor(scene.process.matrix(t_end / steps))
     solve(run.u[0], float(run.t[1]))
     theirs, apart = [], 0.0
     for k in range(1, steps):
