@@ -130,9 +130,8 @@ class SolveOptions:
         plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))
         reduction = plan.reduction if self.path == "auto" else None
         if reduction and not reduction.suits(mus, scheme, self.tol):
-            plan = plan.of_all_unknowns(
-                "the steps differ so much that short ones would be rounding"
-            )
+            reason = "proportional path: steps differ so much that short ones would be rounding"
+            plan = replace(plan, reduction=None, left_out=(*plan.left_out, reason))
         return meeting_breakpoints(process, plan, times) if self.scheme == "auto" else plan
 
     def to_json(self) -> dict[str, Any]:

@@ -26,7 +26,6 @@ from typing import Any
 
 from sweepopt.checks import HUGE
 from sweepopt.errors import InputError, shown, suggestion
-from sweepopt.linalg import exceeds_none
 from sweepopt.problem import SweepingProcess
 
 
@@ -135,19 +134,10 @@ def implicit_euler(steps: int) -> Scheme:
     return Scheme("implicit-euler", a=rows, b=rows[-1], c=times, order=1)
 
 
-def is_stiff(process: SweepingProcess, mu: float) -> bool:
-    """Whether mu Lam may be above 2, by one factorisation."""
-    if process.B is None or not process.coercive:
-        return not process.coercive
-    if not process.metric.has_factors:
-        return mu * process.Lam > RESOLVED
-    return not exceeds_none(process.metric, process.B, RESOLVED / mu)
-
-
 def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.0) -> bool:
     """Whether errors come back with the other sign and more than this share of their size."""
     # of implicit Euler R = 1 / (1 + mu Lam) > 0, whatever Lam is: to prove it takes factors
-    if (scheme.order == 1 and not scheme.explicit) or not is_stiff(process, mu):
+    if scheme.order == 1 and not scheme.explicit:
         return False
     return bool(scheme.amplification(-min(mu * process.Lam, HUGE)) < -least)
 

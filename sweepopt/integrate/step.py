@@ -19,7 +19,7 @@ import numpy as np
 
 from sweepopt.errors import IndefiniteError, InputError, TouchingError
 from sweepopt.integrate.record import Step
-from sweepopt.integrate.schemes import Scheme, implicit_euler, is_stiff
+from sweepopt.integrate.schemes import RESOLVED, Scheme, implicit_euler
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ROUNDING, ConvexSet
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity, of_fixed_point
@@ -42,7 +42,6 @@ class Velocities:
         self._contraction = cache(process.contraction)
         # an iteration needs programs that are closer than its limit
         self._programs = replace(plan, tol=SHARE * plan.tol) if plan.contraction else plan
-        self._is_stiff = cache(lambda mu: is_stiff(process, mu))
         self._compiled: dict[float, StateVelocity] = {}  # the one that was asked last at the end
 
     def __call__(self, gamma: float) -> StateVelocity:
@@ -123,7 +122,7 @@ class Velocities:
             weights = weights + mu * scheme.a[0][0] * process.B.diagonal()
         motion = weights * np.max([stage.z**2 for stage in stages[:-1]], axis=0)
         stops = np.min([stage.z * stages[-1].z for stage in stages[:-1]], axis=0) <= 0
-        if not (motion[stops].sum() > STOPS * motion.sum() and self._is_stiff(mu)):
+        if not (motion[stops].sum() > STOPS * motion.sum() and mu * process.Lam > RESOLVED):
             return _mean(scheme.b, stages)
         euler = implicit_euler(scheme.euler_steps)
         mean = _mean(euler.b, self.stages(euler, t, mu, u, stages[:1]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sweepopt.linalg.cholesky import InBlocks, factorised
-from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, kernel, largest_ratio
+from sweepopt.linalg.eigenvalues import is_semidefinite, kernel, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
     EPS,
@@ -29,7 +29,6 @@ __all__ = [
     "dense",
     "euclidean",
     "exact_sum",
-    "exceeds_none",
     "factor_bytes",
     "factorised",
     "is_diagonal",

@@ -90,7 +90,8 @@ class Cholesky:
 def factorised(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
     """M factorised; of a sparse one the last m unknowns of an order have their block of L."""
     if not sp.issparse(M):
-        return lapack_factor(M)
+        lower = scipy.linalg.cholesky(M, lower=True)
+        return Cholesky(lower.diagonal() ** 2, lambda w: lapack.dpotrs(lower, w, lower=True)[0])
     return (cholmod if M.shape[0] <= LIMIT and has_cholmod() else superlu)(M, order, m)
 
 
@@ -143,12 +144,6 @@ def has_cholmod() -> bool:
     except ImportError:  # not installed, or it lacks something itself
         return False
     return True
-
-
-def lapack_factor(M: np.ndarray) -> Cholesky:
-    """A dense M factorised."""
-    lower = scipy.linalg.cholesky(M, lower=True)
-    return Cholesky(lower.diagonal() ** 2, lambda w: lapack.dpotrs(lower, w, lower=True)[0])
 
 
 def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:

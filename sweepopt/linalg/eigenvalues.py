@@ -78,13 +78,6 @@ def largest_ratio(A: Factor, B: Matrix) -> float:
     return next((s for s in candidates if dominates(s * A.M, B)), math.inf)
 
 
-def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
-    """Whether s is proved to be no less than all eigenvalues of A^-1 B."""
-    if A.is_diagonal and is_diagonal(B):
-        return largest_ratio(A, B) <= s
-    return dominates(s * A.M, B)
-
-
 def _estimate(A: Factor, B: Matrix, least: float) -> float:
     """The largest eigenvalue of A^-1 B, or what of it can be seen."""
     inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)

@@ -145,7 +145,7 @@ class SweepingProcess(Displayed):
         self.u0 = entries("u0", u0)
         agree(**sizes, C=C.dim, u0=self.u0.size)
         self.dim = self.u0.size
-        self.C = C.starting_at(self.u0) if isinstance(C, StateDependent) else C
+        self.C = C.of(self.u0) if isinstance(C, StateDependent) else C
         self.fields = _valid_fields(fields or {}, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None

@@ -321,6 +321,7 @@ class Ellipsoid(ConvexSet):
     """
 
     fixed = ("matrix",)
+    _shape: np.ndarray | None = None
 
     def __init__(self, center: Any, shape: Any) -> None:
         center = entries("center", center)
@@ -393,7 +394,7 @@ class Ellipsoid(ConvexSet):
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         pair = super().normal_pair(p, w, tau)
-        if pair is None or not pair.p.any():
+        if pair is None or self._shape is None or not pair.p.any():
             return pair
         # the point with this normal by the shape itself: axes and roots are rounded, and short axes
         # beside long ones are lost in plain products
@@ -417,6 +418,3 @@ class BallImage(Ellipsoid):
 
     def __init__(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
         self._set(center, radius, root)
-
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        return ConvexSet.normal_pair(self, p, w, tau)

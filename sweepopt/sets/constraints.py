@@ -192,7 +192,7 @@ def conic(w: cp.Variable, constraints: list[cp.Constraint]) -> Conic:
     column = np.arange(A.shape[1]) - data["param_prob"].var_id_to_col[w.id]
     of_w = (column >= 0) & (column < w.size)
     exponents: list[tuple[float, ...]] = [(float(a), 1 - float(a)) for a in dims.p3d]
-    exponents += [tuple(map(float, a)) for a in getattr(dims, "pnd", [])]
+    exponents += [tuple(map(float, a)) for a in dims.pnd]
     sizes: list[tuple[str, int, Any]] = [
         *[("zero", dims.zero, None), ("nonneg", dims.nonneg, None)],
         *(("soc", size, None) for size in dims.soc),

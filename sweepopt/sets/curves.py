@@ -6,11 +6,12 @@ and not only where somebody looked.
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts2
+from scipy.special import comb
 
 
 def ball_arcs(p: np.ndarray, w: np.ndarray, radius: Any) -> np.ndarray:
@@ -34,7 +35,7 @@ def ball_arcs(p: np.ndarray, w: np.ndarray, radius: Any) -> np.ndarray:
     with np.errstate(all="ignore"):  # what vanishes or overflows has no arc
         least = (p @ middle[..., None])[..., 0].min(axis=-1) / size  # |p| >= this
         # what of w is across p: (|p|^2 w - <p, w> p) / |p|^2, above the bar a polynomial
-        theta = chebyshev(w.shape[-2] + 4)
+        theta = 0.5 + 0.5 * chebpts2(w.shape[-2] + 4)
         curve, points = basis(2, theta) @ p, basis(w.shape[-2] - 1, theta) @ w
         squares, along = (curve**2).sum(axis=-1), (curve * points).sum(axis=-1)
         across = squares[..., None] * points - along[..., None] * curve
@@ -48,14 +49,8 @@ def ball_arcs(p: np.ndarray, w: np.ndarray, radius: Any) -> np.ndarray:
 def basis(degree: int, theta: np.ndarray) -> np.ndarray:
     """The Bernstein polynomials of a degree at theta, shape (..., degree + 1)."""
     k = np.arange(degree + 1)
-    binomials = np.array([math.comb(degree, int(j)) for j in k])
     theta = theta[..., None]
-    return binomials * theta**k * (1 - theta) ** (degree - k)
-
-
-def chebyshev(count: int) -> np.ndarray:
-    """Points in [0, 1], both ends among them, at which polynomials are told apart well."""
-    return 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / (count - 1))
+    return comb(degree, k) * theta**k * (1 - theta) ** (degree - k)
 
 
 def to_bernstein(theta: np.ndarray) -> np.ndarray:
@@ -67,6 +62,5 @@ def to_bernstein(theta: np.ndarray) -> np.ndarray:
 def products(first: int, second: int) -> np.ndarray:
     """int_0^1 of the products of Bernstein polynomials, shape (first + 1, second + 1)."""
     j, k = np.meshgrid(np.arange(first + 1), np.arange(second + 1), indexing="ij")
-    choose = np.vectorize(math.comb)
     degree = first + second
-    return choose(first, j) * choose(second, k) / choose(degree, j + k) / (degree + 1)
+    return np.asarray(comb(first, j) * comb(second, k) / comb(degree, j + k) / (degree + 1))

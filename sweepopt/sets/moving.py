@@ -56,7 +56,7 @@ class MovingSet(Operators):
 
     def __init__(
         self,
-        at: Callable[[float], ConvexSet],
+        at: Callable[..., ConvexSet],
         dim: int | None = None,
         histories: Sequence[Callable[[float], Any]] = (),
     ) -> None:
@@ -128,9 +128,13 @@ class MovingSet(Operators):
             last = C
         return kept
 
+    def _made(self, t: float) -> ConvexSet:
+        """What the function makes, whatever that is."""
+        return self._at(t)
+
     def _member(self, t: float) -> ConvexSet:
         try:
-            C = result_of(self._at, t, "C(t)")
+            C = result_of(self._made, t, "C(t)")
         except InputError as error:
             where = f"C(t) at t = {t:g}"
             if str(error).startswith(where):
@@ -252,12 +256,10 @@ class MovingOffsets(MovingSet):
     """
 
     def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
-        self.shape, self.offsets = shape, offsets
-        super().__init__(partial(_offset, shape, offsets), shape.dim)
+        self.shape, self.offsets, self.dim = shape, offsets, shape.dim
 
-
-def _offset(shape: Any, offsets: Callable[[float], Any], t: float) -> ConvexSet:
-    return shape.with_offsets(offsets(t))
+    def _made(self, t: float) -> Any:
+        return self.shape.with_offsets(self.offsets(t))
 
 
 class StateDependent(MovingSet):
@@ -301,6 +303,8 @@ class StateDependent(MovingSet):
     (True, 0.317)
     """
 
+    _state: np.ndarray | None = None  # without it there is no set
+
     def __init__(
         self,
         at: Callable[[float, np.ndarray], ConvexSet],
@@ -308,35 +312,27 @@ class StateDependent(MovingSet):
         histories: Sequence[Callable[[float], Any]] = (),
     ) -> None:
         takes("at", at, "t", "u")
-        self._of_state, self.lipschitz = at, symmetric("lipschitz", lipschitz)
+        self.lipschitz = symmetric("lipschitz", lipschitz)
         if abs(self.lipschitz).max() and not is_semidefinite(self.lipschitz):
             raise InputError("lipschitz must be positive semidefinite; it has an eigenvalue < 0")
-        super().__init__(_without_state, self.lipschitz.shape[0], histories)
+        super().__init__(at, self.lipschitz.shape[0], histories)
 
-    def of(self, u: np.ndarray) -> MovingSet:
+    def of(self, u: np.ndarray) -> StateDependent:
         """The sets t -> C(t, u) of one state."""
-        return MovingSet(partial(_of_time, self._of_state, u), self.dim)
-
-    def starting_at(self, u0: np.ndarray) -> StateDependent:
-        """The same, with C(t, u0) where no state is given."""
         other = copy.copy(self)
-        other._at = partial(_of_time, self._of_state, u0)
+        other._state = u
         return other
 
-
-def _of_time(at: Callable[[float, np.ndarray], ConvexSet], u: np.ndarray, t: float) -> ConvexSet:
-    return at(t, u)
+    def _made(self, t: float) -> ConvexSet:
+        if self._state is None:
+            raise InputError(WITHOUT_STATE)
+        return self._at(t, self._state)
 
 
 WITHOUT_STATE = (
     "C(t, u) is no set without a state: what is added to it, or made of it, belongs into its "
     "function of (t, u)"
 )
-
-
-def _without_state(_: float) -> ConvexSet:
-    raise InputError(WITHOUT_STATE)
-
 
 AnySet = ConvexSet | MovingSet
 """A set, whether it moves or not."""

@@ -134,6 +134,7 @@ class Splitting:
 
     def __init__(self, form: Form, units: np.ndarray) -> None:
         self.small, self.units = form.small, units
+        self.smooth = form.small and all(part.differentiable for part in form.parts)
         self.parts = [
             (part, at, units[at]) for part, at in zip(form.parts, places(form.parts), strict=True)
         ]
@@ -170,7 +171,7 @@ class Splitting:
 
     def derivative_of_parts(self, x: np.ndarray) -> np.ndarray | None:
         """Of the projection on the parts; None for large sets, and where a part has none."""
-        if not self.small:
+        if not self.smooth:
             return None
         D = np.zeros((x.size, x.size))
         for part, at, unit in self.parts:
@@ -192,7 +193,7 @@ class Splitting:
             s = near(x)
             return self.projected(2 * s - x) - s
 
-        if self.is_smooth(x):
+        if self.smooth:
             x, fixed = self._newton(residual, near, x, size)
         else:
             x, fixed = fixed_point(lambda x: x + residual(x), x, size)
@@ -217,7 +218,10 @@ class Splitting:
             if np.abs(r).max() <= ROUNDING * size:
                 return FixedPoint(x, True)
             extent = max(size, float(np.abs(x).max()))
-            J = self._jacobian(np.asarray(self.derivative_of_parts(2 * near(x) - x)))
+            D = self.derivative_of_parts(2 * near(x) - x)
+            if D is None:
+                break
+            J = self._jacobian(D)
             length = float(np.linalg.norm(r))
             regular = J + min(max(length / extent, RANK), 1.0) * one
             x = x + np.linalg.solve(regular, r)
@@ -232,7 +236,7 @@ class Splitting:
         program in (p, lam) is 0. That program is convex, without constraints, and smooth: Newton
         steps on it descend. Where they are too many, c is too large.
         """
-        if not self.is_smooth(start.scaled(self.units).s):
+        if not self.smooth:
             return
         s, _ = start.scaled(self.units)
         A, zero = np.vstack([self.E, -self.F]), np.zeros(len(self.F))
@@ -266,16 +270,14 @@ class Splitting:
             share = np.abs(g).max() / size if size else 0.0
             if share <= 1e4 * ROUNDING:  # a good start for Newton's method, if not all digits
                 return FixedPoint(y, True)
-            D = np.asarray(self.derivative_of_parts(x))
+            D = self.derivative_of_parts(x)
+            if D is None:
+                break
             H = np.diag(one) + c * A @ D @ A.T
             regular = max(REGULAR * share, RANK) * H.diagonal().mean()
             step = -np.linalg.solve(H + regular * np.eye(len(H)), g)
             y = y + _step_length(gradient, y, step, float(g @ step)) * step
         return FixedPoint(y, False)
-
-    def is_smooth(self, x: np.ndarray) -> bool:
-        """Whether all parts have a derivative, and dense matrices are cheap."""
-        return self.derivative_of_parts(x) is not None
 
     def _jacobian(self, D: np.ndarray) -> np.ndarray:
         """Of -residual."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -123,13 +123,6 @@ class Plan(Displayed):
         if self.contact is None:
             return 0
         return len(self.contact) if self.condensed else self.unknowns - len(self.contact)
-
-    def of_all_unknowns(self, reason: str) -> Plan:
-        """The plan without its reduction, which does not suit the steps."""
-        if self.reduction is None:
-            return self
-        left_out = (*self.left_out, f"proportional path: {reason}")
-        return replace(self, reduction=None, left_out=left_out)
 
     def _rows(self) -> Rows:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import count
+from sweepopt.checks import count, number
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet, Similar
 
@@ -151,21 +151,31 @@ class Solver(Protocol):
 
 
 @dataclass(frozen=True)
-class Small:
+class Settings:
+    """Those of a solver: its `tol` is positive, what is called max is a positive whole number.
+
+    Raises
+    ------
+    InputError
+        If one is not.
+    """
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name == "tol":
+                number(name, value, minimum=0.0, strict=True)
+            elif name.startswith("max_"):
+                count(name, value)
+
+
+@dataclass(frozen=True)
+class Small(Settings):
     """What solvers of small programs have in common: they go to rounding, or fail.
 
     Parameters
     ----------
     max_dim : int
         Larger programs are left to the other solvers.
-
-    Raises
-    ------
-    InputError
-        If max_dim is not positive.
     """
 
     max_dim: int = 300
-
-    def __post_init__(self) -> None:
-        count("max_dim", self.max_dim)

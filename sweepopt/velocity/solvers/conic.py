@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import count, number
 from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.sets import CAREFUL, ConvexSet, in_turn
-from sweepopt.velocity.program import Answer, Solve, VelocityProgram
+from sweepopt.velocity.program import Answer, Settings, Solve, VelocityProgram
 
 QUADRATIC_ONLY = {"OSQP", "PIQP", "PROXQP", "DAQP", "HIGHS"}
 TIGHT: dict[str, dict[str, Any]] = {
@@ -32,25 +31,7 @@ TIGHT: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Iterative:
-    """A tolerance and a limit of iterations.
-
-    Raises
-    ------
-    InputError
-        If tol or max_iter is not positive.
-    """
-
-    tol: float
-    max_iter: int
-
-    def __post_init__(self) -> None:
-        number("tol", self.tol, minimum=0.0, strict=True)
-        count("max_iter", self.max_iter)
-
-
-@dataclass(frozen=True)
-class OSQP(Iterative):
+class OSQP(Settings):
     """OSQP, an operator-splitting method for quadratic programs, warm started.
 
     Its own polish is off: refinement does the same, and keeps an answer only if it is better.
@@ -116,7 +97,7 @@ class OSQP(Iterative):
 
 
 @dataclass(frozen=True)
-class Clarabel(Iterative):
+class Clarabel(Settings):
     """Clarabel, an interior-point method for cone programs.
 
     Parameters

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, count
+from sweepopt.checks import Matrix
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
 from sweepopt.velocity.program import KEPT, Answer, Small, Solve, VelocityProgram
@@ -57,10 +57,6 @@ class Newton(Small):
     max_dim: int = 1500
     max_iter: int = 15
     name = "newton"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count("max_iter", self.max_iter)
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether the derivative of C's projection is known and couples few unknowns.
