@@ -9,7 +9,7 @@ others. Operators of `ConvexSet` call these functions.
 
 from __future__ import annotations
 
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from sweepopt.sets.base import (
     binary,
     is_vector,
     nested,
+    places,
     require_same_dim,
 )
 from sweepopt.sets.epigraph import epigraph
@@ -195,6 +196,10 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, Similar):
         moved = C.factor * _image(M, C.parts[0])
         return moved if C.v is None else moved + M @ C.v
+    if type(C) is Aligned and C.unknowns is None and len(C.parts) * M.shape[0] <= DENSE:
+        # part by part: the image of a ball is exact, with columns of any sizes
+        each = zip(C.parts, places(C.parts), strict=True)
+        return reduce(add, (_image(M[:, at], S) for S, at in each))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, GeneratedCone):
