@@ -19,7 +19,7 @@ from sweepopt.checks import HUGE, Matrix, divisor, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
-from sweepopt.sets.balls import Ball, BallImage, Ellipsoid
+from sweepopt.sets.balls import Ball, BallImage, Balls, Ellipsoid
 from sweepopt.sets.base import (
     DENSE,
     Algebra,
@@ -196,10 +196,12 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, Similar):
         moved = C.factor * _image(M, C.parts[0])
         return moved if C.v is None else moved + M @ C.v
-    if type(C) is Aligned and C.unknowns is None and len(C.parts) * M.shape[0] <= DENSE:
-        # part by part: the image of a ball is exact, with columns of any sizes
-        each = zip(C.parts, places(C.parts), strict=True)
-        return reduce(add, (_image(M[:, at], S) for S, at in each))
+    if type(C) is Balls or (type(C) is Aligned and C.unknowns is None):
+        parts = C.factors() if isinstance(C, Balls) else C.parts
+        if 1 < len(parts) <= DENSE // M.shape[0] and not sp.issparse(M):
+            # one by one: the image of a ball is exact, with columns of any sizes
+            each = zip(parts, places(parts), strict=True)
+            return reduce(add, (_image(M[:, at], S) for S, at in each))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, GeneratedCone):

@@ -109,7 +109,8 @@ class Instance(NamedTuple):
     def is_rounding(self, outside: np.ndarray) -> bool:
         """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
 
-        It holds entry by entry; `outside` is how far q is out of C, up to signs.
+        Centres are translations too. It holds entry by entry; `outside` is how far q is out of C,
+        up to signs.
         """
         scale = np.abs(self.q) + np.abs(self.c)
         scale[self.unknowns] += self.S.shift_sizes
