@@ -158,6 +158,26 @@ def test_rows_beside_a_set_on_few_unknowns_are_as_exact_as_the_same_set_all_in_r
         assert norm(found.z - other.z) <= 1e-12 * math.sqrt(condition) * norm(other.z)
 
 
+@pytest.mark.parametrize("kind, solver", [("hull", "newton"), ("rows", "active-set")])
+def test_a_set_that_is_given_anew_is_asked_of_a_solver_that_compiles_next_to_nothing(kind, solver):
+    points, load = np.random.default_rng(0).normal(size=(12, 5)), np.ones(5)
+
+    def at(t):
+        moved = points + 0.1 * np.cos(t * points)
+        if kind == "hull":
+            return so.Polytope(moved + 3 * np.sin(3 * t) * load)
+        return so.Polyhedron(moved, 1 + 3 * np.sin(3 * t) * moved @ load)
+
+    process = so.SweepingProcess(np.eye(5) + 0.5, None, so.MovingSet(at), load)
+    sol = so.solve(process, t_end=2.0, steps=20)
+    assert sol.stats["relative"].max() <= 1e-6
+    assert set(sol.stats["solver"][1:]) <= {solver, "at rest"}
+    fixed = so.SweepingProcess(
+        process.A, None, so.Moving(at(0.0), lambda t: np.sin(t) * load), load
+    )
+    assert "osqp" in so.solve(fixed, t_end=2.0, steps=20).stats["solver"]
+
+
 LOOSE_TO_TIGHT = (1e-1, 1e-4, 1e-9)
 
 

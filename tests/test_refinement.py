@@ -66,6 +66,35 @@ def test_a_diagonal_body_past_its_threshold_by_rounding_rests_to_the_last_bit():
     assert not so.solve(process, t_end=1.0, steps=2).velocity.any()
 
 
+ON_CIRCLE = {k: np.array([np.cos(k), np.sin(k)]) for k in (14, 23, 38)}
+
+
+@pytest.mark.parametrize(
+    "C",
+    [
+        pytest.param(so.Ball(3.3 * ON_CIRCLE[23], 3.3), id="ball"),
+        pytest.param(so.Ball(3.3 * ON_CIRCLE[23], 3.3) & so.Box([-9, -9], [9, 9]), id="cut"),
+        pytest.param(
+            so.Ellipsoid(4.8 * np.array([2, 1]) * ON_CIRCLE[38], 4.8**2 * np.diag([4.0, 1.0])),
+            id="ellipsoid",
+        ),
+        pytest.param(so.image([[1, 0.3], [0.2, 1]], so.Ball(2.4 * ON_CIRCLE[14], 2.4)), id="image"),
+    ],
+)
+def test_a_force_of_zero_on_the_boundary_of_a_set_with_a_centre_moves_nothing(C):
+    # as of 0 + (centre + ball around 0): what rounds is the centre
+    process = so.SweepingProcess([[2.0, 0.5], [0.5, 1.0]], np.eye(2), C, [0.0, 0.0])
+    assert not so.solve(process, t_end=1.0, steps=1, scheme="implicit-euler").velocity.any()
+
+
+def test_zero_is_inside_of_a_composed_set_that_rounds_with_the_operand_it_is_cut_by():
+    a, c = np.random.default_rng(2).uniform([-1.0, 0.3], 1.0)
+    far = so.HalfSpace([1.0], -40.0) + 40.0 + c
+    C = (so.Ball([a], 1.0) & far) + so.Ball([0.3 - a], 0.5) - np.array([c])
+    assert not C.normal(np.zeros(1)).any()
+    assert C.normal(np.array([3.0]))[0] == pytest.approx(3.0 - (min(a + 1, c) + 0.8 - a - c))
+
+
 @pytest.mark.parametrize("start", ["there", "far"])
 @pytest.mark.parametrize("scheme", ["implicit-euler", "sdirk2"])
 def test_a_body_near_its_equilibrium_is_certified(start, scheme):

@@ -94,6 +94,29 @@ def test_columns_of_an_image_may_have_units_of_their_own(columns):
         np.testing.assert_allclose(u, found[0], rtol=0, atol=ENOUGH * np.abs(found[0]).max())
 
 
+@pytest.mark.parametrize(
+    "seed, S",
+    [
+        (10, so.product(so.Ball([0.0, 0.0], 1.0), so.Box(-1, 1))),
+        (5, so.Balls([1.0, 2.0], 2)),
+        (11, so.Balls([1.0, 2.0], 2)),
+    ],
+)
+def test_columns_of_an_image_of_balls_may_be_of_any_sizes(seed, S):
+    random = np.random.default_rng(seed)
+    M = random.normal(size=(2, S.dim)) * random.permutation(np.logspace(-8, 8, S.dim))
+    load = so.Separable([(so.Sine(1e3, 3.0), [1.0, 0.5])])
+    process = so.SweepingProcess(
+        [[2.0, 0.5], [0.5, 1.0]], np.eye(2), so.Moving(so.image(M, S), load), [0.0, 0.0]
+    )
+    sol = so.solve(process, t_end=3.0, steps=10, scheme="implicit-euler")
+    for t, u, z in zip(sol.t[1:], sol.u[1:], sol.velocity, strict=True):
+        w = process.A @ z + process.B @ u
+        # sigma(M S, -z) = sigma(S, -M^T z), which is <w, -z> where -z is normal at w
+        size = S.support(np.abs(M.T @ z)) + np.linalg.norm(w) * np.linalg.norm(z)
+        assert S.support(-M.T @ z) + (w - load(t)) @ z == pytest.approx(0.0, abs=1e-6 * size)
+
+
 GENERATORS = np.random.default_rng(1).normal(size=(3, 4))
 
 

@@ -298,6 +298,11 @@ class Aligned(ConvexSet):
     def anchor(self) -> np.ndarray:
         return self._to(self._joined([S.anchor for S in self.parts]))
 
+    @property
+    def shift_sizes(self) -> np.ndarray:
+        sizes = abs(self.factor) * self._joined([S.shift_sizes for S in self.parts])
+        return sizes if self.v is None else sizes + np.abs(self.v)
+
     @cached_property  # a step asks for that of the shape that it moves
     def selection(self) -> Selection | None:
         if self.unknowns is not None:

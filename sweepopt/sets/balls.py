@@ -180,6 +180,10 @@ class Ball(Balls):
         sizes, constraints = super().features(p)
         return Features([p, *sizes], constraints)
 
+    @property
+    def shift_sizes(self) -> np.ndarray:
+        return np.abs(self.center)
+
     def factors(self) -> list[ConvexSet]:
         return [self]
 
@@ -345,6 +349,10 @@ class Ellipsoid(ConvexSet):
         self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
         self._unit = binary(semiaxes[0])
         self.offsets = np.append(center, radius * self._unit)
+
+    @property
+    def shift_sizes(self) -> np.ndarray:
+        return np.full(self.dim, np.linalg.norm(self.center))  # axes mix the entries
 
     @cached_property
     def _times_shape(self) -> Precise:

@@ -646,6 +646,11 @@ class ConvexSet(Operators, ABC):
         return np.zeros(self.dim)
 
     @property
+    def shift_sizes(self) -> np.ndarray:
+        """Sizes of the translations in C, centres among them: its points round as they do."""
+        return np.abs(self.anchor)
+
+    @property
     def nonsmooth_dim(self) -> int:
         """How many unknowns C really acts on (fewer than dim for the image of a small set)."""
         if self.selection is not None:

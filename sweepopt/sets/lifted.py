@@ -137,6 +137,10 @@ class Lifted(ConvexSet):
         blocks = (self.lifted.E[:, at] for at in places(self.lifted.parts))
         return [float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E))) for E in blocks]
 
+    @cached_property
+    def shift_sizes(self) -> np.ndarray:
+        return np.asarray(abs(self.lifted.E) @ self.part.shift_sizes)
+
     # ---- projection -----------------------------------------------------------------------------
 
     @cached_property

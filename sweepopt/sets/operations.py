@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from functools import partial, wraps
+from functools import partial, reduce, wraps
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
-from sweepopt.sets.balls import Ball, BallImage, Ellipsoid
+from sweepopt.sets.balls import Ball, BallImage, Balls, Ellipsoid
 from sweepopt.sets.base import (
     DENSE,
     Algebra,
@@ -31,6 +31,7 @@ from sweepopt.sets.base import (
     Operators,
     is_vector,
     nested,
+    places,
     require_same_dim,
     row_units,
 )
@@ -307,6 +308,12 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, Similar):
         moved = C.factor * _image(M, C.parts[0])
         return moved if C.v is None else moved + M @ C.v
+    if type(C) is Balls or (type(C) is Aligned and C.unknowns is None):
+        parts = C.factors() if isinstance(C, Balls) else C.parts
+        if 1 < len(parts) <= DENSE // M.shape[0] and not sp.issparse(M):
+            # one by one: the image of a ball is exact, with columns of any sizes
+            each = zip(parts, places(parts), strict=True)
+            return reduce(add, (_image(M[:, at], S) for S, at in each))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, GeneratedCone):

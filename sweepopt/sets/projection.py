@@ -204,7 +204,7 @@ class Splitting:
         off, limits = np.abs(self.F @ on_parts), size * abs(self.F).sum(axis=1)
         exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
         exact = exact and bool((off <= 10 * ROUNDING * limits).all())
-        return Projection(v, self._point(v, on_parts), on_parts, image, exact, self)
+        return Projection(v, self._point(v, on_parts, size), on_parts, image, exact, self)
 
     def _newton(self, residual: Map, near: Map, x: np.ndarray, size: float) -> FixedPoint:
         """Whole Newton steps on residual(x) = 0.
@@ -283,10 +283,12 @@ class Splitting:
         """Of -residual."""
         return self._K - D @ (2 * self._K - np.eye(len(D)))
 
-    def _point(self, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """E s, or v itself where that is the same to rounding: v is in C."""
-        w, sizes = self.E @ s, np.abs(s) + self.rounding_scale(s)
-        rounding = ROUNDING * (abs(self.E) @ sizes)
+    def _point(self, v: np.ndarray, s: np.ndarray, size: float) -> np.ndarray:
+        """E s, or v itself where that is the same to rounding: v is in C.
+
+        All parts are known to rounding of the largest one, which rows of F hand on.
+        """
+        w, rounding = self.E @ s, ROUNDING * size * abs(self.E).sum(axis=1)
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
     def normal(self, near: Projection) -> np.ndarray:
@@ -324,7 +326,7 @@ class Splitting:
         multipliers = _shortest(F.T, E.T @ p - n)
         sizes = np.abs(s) + scale
         forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + some * scale
-        off = [E.T @ p - F.T @ multipliers - n, -F @ s, np.zeros(p.size)]
+        off = [E.T @ p - F.T @ multipliers - n, -F @ s, near.w - E @ s]
         rounding = np.concatenate([forces, np.abs(F) @ sizes, np.abs(E) @ sizes])
         m, k = F.shape[0], p.size
         system = np.block(

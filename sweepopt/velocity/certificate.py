@@ -98,8 +98,8 @@ class Instance(NamedTuple):
 
     def rests(self) -> bool:
         """Whether z = 0: q is in C but for rounding."""
-        anchor = self.S.anchor
-        squares = self.q.dot(self.q) + self.c.dot(self.c) + anchor.dot(anchor)
+        shifts = self.S.shift_sizes
+        squares = self.q.dot(self.q) + self.c.dot(self.c) + shifts.dot(shifts)
         most = 3 * ROUNDING * math.sqrt(squares)  # of the length of what `is_rounding` allows
         if self.S.is_beyond(self.force[self.unknowns], most):
             return False
@@ -109,10 +109,11 @@ class Instance(NamedTuple):
     def is_rounding(self, outside: np.ndarray) -> bool:
         """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
 
-        It holds entry by entry; `outside` is how far q is out of C, up to signs.
+        Centres are translations too. It holds entry by entry; `outside` is how far q is out of C,
+        up to signs.
         """
         scale = np.abs(self.q) + np.abs(self.c)
-        scale[self.unknowns] += np.abs(self.S.anchor)
+        scale[self.unknowns] += self.S.shift_sizes
         return is_rounding(outside, scale)
 
 

@@ -137,7 +137,8 @@ class StateVelocity:
             if velocity.relative <= self._tol:
                 return velocity
         if self._cascade is None or not self._cascade.serves(inclusion, S):
-            self._cascade = Cascade(inclusion, self._solver, of, self._tol, self._proved)
+            data, anew = (inclusion, self._solver, of, self._tol), self._cascade is not None
+            self._cascade = Cascade(*data, self._proved, anew)
         return self._cascade(of)
 
     def _mapped(self, of: Instance) -> Velocity | None:
