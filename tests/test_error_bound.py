@@ -346,8 +346,8 @@ def made_of_parts(name):
         ("ball & box", 0.3, "sdirk2"),
         ("ball & box", 0.0, "implicit-euler"),
         ("M rows", 0.3, "implicit-euler"),
-        pytest.param("ball & rows, turned", 0.3, "sdirk2", marks=slow),
-        pytest.param("rows + box", 0.3, "implicit-euler", marks=slow),
+        pytest.param("ball & rows, turned", 0.3, "sdirk2", marks=pytest.mark.slow),
+        pytest.param("rows + box", 0.3, "implicit-euler", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_made_of_parts_that_move_by_data_has_a_guaranteed_bound(name, A, scheme):
