@@ -5,10 +5,11 @@ r = A v' + B v - w and G = sigma(C(t), -v') + <v', w>. Where C(t) = center(t) + 
 w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and both integrals are
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
 histories. Where C(t) = { w : G w <= h(t) } is data, w is a curve whose Bernstein coefficients are
-projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma. For any other
-C(t) whose variation is known, S is the set at the middle of the step: the distance of w(t) to s(t)
-is at most the variation on the step, and that adds 2 |v'| times this distance to the bound of G.
-Otherwise both integrals are sampled, and are no bounds.
+projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma; so it is where
+C(t) is made of sets that move by data (sets/family.py). For any other C(t) whose variation is
+known, S is the set at the middle of a part of the step: the distance d of w(t) to s(t) is at most
+the variation on half of the part, and adds 2 |v'| d to the bound of G. As C(t) may be any set so
+near, no bound falls faster than sqrt(d). Otherwise both integrals are sampled, and are no bounds.
 """
 
 from __future__ import annotations
@@ -53,6 +54,9 @@ HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
 PARTS = 3
 """Parts of a step, on each of which w is a chord of a curved set. With 2 (4) parts bounds were 0.7
 (1.3) times as close and took 0.8 (1.3) times as long."""
+SETS = 8
+"""Sets of a function t -> C on each step: four times as many give half the bound. With 8 a bound
+takes 6 times as long as the run of a box."""
 VARIES = 8
 """int |r'| is computed on steps with a larger mu Lam only. On others it does not make the bound of
 |e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >= sqrt(S)
@@ -187,9 +191,12 @@ def _model(
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
-    middles = 0.5 * (nodes.t[:-1] + nodes.t[1:])
+    intervals = smooth_intervals(model.motion, nodes.t, SETS)
+    middles = 0.5 * (intervals.begin + intervals.end)
     shapes = [process.C.at(t) for t in middles.tolist()]
-    return model._replace(shapes=shapes, distance=increments(variation, nodes.t))
+    halves = np.sort(np.concatenate([nodes.t[:1], middles, intervals.end]))
+    distance = increments(variation, halves).reshape(-1, 2).max(axis=1)
+    return model._replace(intervals=intervals, shapes=shapes, distance=distance)
 
 
 def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
