@@ -168,7 +168,7 @@ def motion(C: AnySet) -> Motion:
         return Motion(C, still)
     phi = family.histories(C)
     values = TimeFunction(tuple(zip(phi, np.eye(len(phi)), strict=True)), len(phi)) if phi else None
-    return Motion(None, TimeFunction((), C.dim, C.at), offsets=values, name="what moves a part")
+    return Motion(None, TimeFunction((), C.dim, C.at), offsets=values, name="the load of a part")
 
 
 def histories_of(C: AnySet, inside: bool = True) -> list[Any]:

@@ -139,14 +139,20 @@ def residuals(
         members = (members - data.center.at(nodes.t[1:])) / scale if scale.all() else None
     model = _model(process, data, reason, norms, nodes, variation, members)
     try:
-        moving = model.motion
-        known = bool(model.shapes) and getattr(model.shapes[0], "certifiable", True)
-        known = known and moving.center.bounded and moving.scale.bounded
-        return _bounds(process, norms, nodes, curves, model), "" if known else reason
+        bounds = _bounds(process, norms, nodes, curves, model)
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
     except (EmptySetError, TouchingError, NoHalfspacesError) as error:
-        reason = f"C(t) is nearly empty at times, or a part is flat ({error})"
-        return _bounds(process, norms, nodes, curves, _on_steps(process, nodes)), reason
+        reason = (
+            "C(t) is nearly empty at times, or a part that tables do not move has no rows and is "
+            f"no ball ({error})"
+        )
+        function = Motion(None, TimeFunction((), process.dim))
+        model = _model(process, function, reason, norms, nodes, variation, None)
+        bounds = _bounds(process, norms, nodes, curves, model)
+    moving = model.motion
+    known = bool(model.shapes) and getattr(model.shapes[0], "certifiable", True)
+    known = known and moving.center.bounded and moving.scale.bounded
+    return bounds, "" if known else reason
 
 
 def _unknown(data: Motion, C: ConvexSet) -> str:
@@ -178,7 +184,7 @@ def _model(
 ) -> _Model:
     """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
-    if variation is not None and not data.center.bounded:
+    if variation is not None and reason and not data.center.bounded:
         moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         parts = 1 if moving.shape.sharp_gaps or members is not None else PARTS
