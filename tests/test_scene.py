@@ -171,7 +171,7 @@ def test_functions_of_time_are_called_at_the_start_of_a_scene_that_lists_its_tim
             return so.fem.Contribution(loads=[lambda t: np.full(space.dim, 0.01 * late([0.0], t))])
 
     section = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "left")
-    effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", late), so.fem.YieldStress(late)]
+    effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", late)]
     scene = so.fem.body(section, [*effects, Own()], steps=np.linspace(2.0, 3.0, 3))
     scene.solve()
     assert min(seen) == 2.0

@@ -5,10 +5,11 @@ r = A v' + B v - w and G = sigma(C(t), -v') + <v', w>. Where C(t) = center(t) + 
 w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and both integrals are
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
 histories. Where C(t) = { w : G w <= h(t) } is data, w is a curve whose Bernstein coefficients are
-projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma. For any other
-C(t) whose variation is known, S is the set at the middle of the step: the distance of w(t) to s(t)
-is at most the variation on the step, and that adds 2 |v'| times this distance to the bound of G.
-Otherwise both integrals are sampled, and are no bounds.
+projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma; so it is where
+C(t) is made of sets that move by data (sets/family.py). For any other C(t) whose variation is
+known, S is the set at the middle of a part of the step: the distance d of w(t) to s(t) is at most
+the variation on half of the part, and adds 2 |v'| d to the bound of G. As C(t) may be any set so
+near, no bound falls faster than sqrt(d). Otherwise both integrals are sampled, and are no bounds.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import EmptySetError
+from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.problem import Motion, Norms, SweepingProcess, TimeFunction, motion
 from sweepopt.results.interpolation import (
     GAUSS,
@@ -34,7 +35,18 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.sets import ROUNDING, Aligned, ConvexSet, Polyhedron, basis, to_bernstein
+from sweepopt.sets import (
+    ROUNDING,
+    Aligned,
+    ConvexSet,
+    MovingSet,
+    NoHalfspacesError,
+    Polyhedron,
+    basis,
+    family,
+    products,
+    to_bernstein,
+)
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
@@ -53,6 +65,9 @@ SLOPES = ROOTS * (3 * basis(2, GAUSS) @ np.diff(TO_BERNSTEIN @ LOBATTO, axis=0))
 PARTS = 3
 """Parts of a step, on each of which w is a chord of a curved set. With 2 (4) parts bounds were 0.7
 (1.3) times as close and took 0.8 (1.3) times as long."""
+SETS = 8
+"""Sets of a function t -> C on each step: four times as many give half the bound. With 8 a bound
+takes 6 times as long as the run of a box."""
 VARIES = 8
 """int |r'| is computed on steps with a larger mu Lam only. On others it does not make the bound of
 |e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >= sqrt(S)
@@ -97,7 +112,7 @@ class _Model(NamedTuple):
 
     motion: Motion
     intervals: Intervals
-    shapes: list[ConvexSet]
+    shapes: list[Any]
     distance: np.ndarray
     members: np.ndarray | None = None
 
@@ -129,28 +144,34 @@ def residuals(
         Points of C(t), a Moving set, at all nodes but the first.
     """
     data = motion(process.C)
-    reason = _unknown(data)
+    reason = _unknown(data, process.C.at(float(nodes.t[0])))
     if members is not None:
         scale = data.scale.at(nodes.t[1:])
         members = (members - data.center.at(nodes.t[1:])) / scale if scale.all() else None
     model = _model(process, data, reason, norms, nodes, variation, members)
     try:
-        moving = model.motion
-        known = bool(model.shapes) and model.shapes[0].certifiable
-        known = known and moving.center.bounded and moving.scale.bounded
-        return _bounds(process, norms, nodes, curves, model), "" if known else reason
+        bounds = _bounds(process, norms, nodes, curves, model)
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
-    except EmptySetError as error:
-        reason = f"C(t) is nearly empty at times ({error})"
-        return _bounds(process, norms, nodes, curves, _on_steps(process, nodes)), reason
+    except (EmptySetError, TouchingError, NoHalfspacesError) as error:
+        reason = (
+            "C(t) is nearly empty at times, or a part that tables do not move has no rows and is "
+            f"no ball ({error})"
+        )
+        function = Motion(None, TimeFunction((), process.dim))
+        model = _model(process, function, reason, norms, nodes, variation, None)
+        bounds = _bounds(process, norms, nodes, curves, model)
+    moving = model.motion
+    known = bool(model.shapes) and getattr(model.shapes[0], "certifiable", True)
+    known = known and moving.center.bounded and moving.scale.bounded
+    return bounds, "" if known else reason
 
 
-def _unknown(data: Motion) -> str:
+def _unknown(data: Motion, C: ConvexSet) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
-    if data.shape is None:
+    if data.shape is None and data.offsets is None:
         return "C(t) is a function of time: write it as a Moving set, or give variation="
-    if not data.shape.certifiable:
-        return f"nothing is proved of {type(data.shape).__name__}"
+    if not C.certifiable:
+        return f"nothing is proved of {type(data.shape or C).__name__}"
     parts = {data.name: data.offsets or data.center, "scale": data.scale}
     for name, f in parts.items():
         if not f.bounded:
@@ -158,7 +179,7 @@ def _unknown(data: Motion) -> str:
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
                 "so.Table, or give variation="
             )
-    if data.offsets is not None and not data.shape.exact:
+    if data.offsets is not None and data.shape is not None and not data.shape.exact:
         return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
     return ""
 
@@ -174,18 +195,25 @@ def _model(
 ) -> _Model:
     """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
-    if variation is not None and not data.center.bounded:
+    if variation is not None and reason and not data.center.bounded:
         moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         parts = 1 if moving.shape.sharp_gaps or members is not None else PARTS
         intervals = smooth_intervals(moving, nodes.t, parts)
         return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)), members)
+    if moving is not None and moving.offsets is not None:
+        moving = replace(moving, center=TimeFunction((), process.dim))
+        intervals = smooth_intervals(moving, nodes.t)
+        return _Model(moving, intervals, [process.C], np.zeros(len(intervals.step)))
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
-    middles = 0.5 * (nodes.t[:-1] + nodes.t[1:])
+    intervals = smooth_intervals(model.motion, nodes.t, SETS)
+    middles = 0.5 * (intervals.begin + intervals.end)
     shapes = [process.C.at(t) for t in middles.tolist()]
-    return model._replace(shapes=shapes, distance=increments(variation, nodes.t))
+    halves = np.sort(np.concatenate([nodes.t[:1], middles, intervals.end]))
+    distance = increments(variation, halves).reshape(-1, 2).max(axis=1)
+    return model._replace(intervals=intervals, shapes=shapes, distance=distance)
 
 
 def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
@@ -293,6 +321,8 @@ def _on_intervals(
             norms, model.motion, terms, s, center, scale
         )
         error = error + moved / math.sqrt(norms.beta)
+    elif isinstance(model.shapes[0], MovingSet):
+        w, gaps = _within_parts(model, aim, directions, offsets)
     else:
         w, gaps = _within_rows(model, aim, directions, offsets)
     r = TO_LOBATTO @ (force - w)
@@ -357,6 +387,31 @@ def _within_rows(
     y = S.multiplier_rows(directions.reshape(-1, S.dim), of_each)
     y = basis(2, GAUSS) @ y.reshape(*directions.shape[:2], f.dim)
     gaps = (((basis(3, GAUSS) @ slack) + 2 * error[:, None]) * y).sum(axis=2) @ WEIGHTS
+    return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
+
+
+def _within_parts(
+    model: _Model, aim: np.ndarray, directions: np.ndarray, phi: Interpolated
+) -> tuple[np.ndarray, np.ndarray]:
+    """A curve w in a C(t) that is made of others, and the mean of a bound of its G (`family`)."""
+    assert model.motion.offsets is not None
+    C, histories = model.shapes[0], model.motion.offsets.histories
+    values, aim = TO_BERNSTEIN @ phi.values, TO_BERNSTEIN @ aim
+    w, gaps = np.empty_like(aim), np.zeros(len(aim))
+    weights = products(2, aim.shape[1] - 1)
+    for i, (at, error) in enumerate(zip(values, phi.error, strict=True)):
+        known = dict(zip(histories, error.tolist(), strict=True))
+        for k, one in enumerate(at.tolist()):
+            some = family.member(C, dict(zip(histories, one, strict=True)), known)
+            w[i, k] = some.project(aim[i, k])
+        for j, (p, one) in enumerate(zip(directions[i], basis(3, HALVES) @ at, strict=True)):
+            if not p.any():
+                continue
+            a = family.support(C, p, dict(zip(histories, one.tolist(), strict=True)))
+            slopes = np.array([a[one] for one in histories])
+            sigma = a[None] + at @ slopes + error @ np.abs(slopes)
+            size = abs(a[None]) + np.abs(at) @ np.abs(slopes)
+            gaps[i] += weights[j] @ (np.maximum(sigma - w[i] @ p, 0.0) + ROUNDING * size)
     return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
 
 

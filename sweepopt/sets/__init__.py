@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sweepopt.sets import family
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
 from sweepopt.sets.balls import Ball, Balls, Ellipsoid, SecondOrderCone
 from sweepopt.sets.base import (
@@ -62,6 +63,7 @@ __all__ = [
     "check_features",
     "exchanged",
     "facets",
+    "family",
     "image",
     "in_turn",
     "least_distance",
