@@ -301,22 +301,12 @@ def _on_intervals(
     if not model.shapes:
         w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif offsets is None:
-        sizes = TO_BERNSTEIN @ scale.values
-        error = scale.error @ np.abs([f for _, f in model.motion.scale.terms])
-        if model.members is None:
-            s = _curve_in_shape(model, TO_BERNSTEIN @ aim, sizes)
-        else:
+        s = None
+        if model.members is not None:
             first, last = model.members[np.maximum(i - 1, 0), None], model.members[i, None]
             s = first + (begin + share * THIRDS)[:, :, None] * (last - first)
-        # sum_k b_k size_k s_k / sum_k b_k size_k is in S where sizes are positive
-        least, most = sizes.min(axis=1), sizes.max(axis=1)
-        vanishing = (least <= error).any(axis=1)
-        s[vanishing] = s[vanishing].mean(axis=1, keepdims=True)
-        least[vanishing] = most[vanishing]
-        w = basis(3, GAUSS) @ (sizes * s)
-        most += np.divide(most * error, least, out=error, where=least > error)
         # a curve that is moved has no bound of int |r'|
-        gaps, moved = _gaps_in_shape(norms, model, most, s, directions, ~stiff)
+        s, w, gaps, moved = _within_shape(norms, model, s, scale, aim, directions, ~stiff)
         error, error_B, turning = _interpolation_errors(
             norms, model.motion, terms, s, center, scale
         )
@@ -341,23 +331,36 @@ def _on_intervals(
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 
 
-def _gaps_in_shape(
+def _within_shape(
     norms: Norms,
     model: _Model,
-    most: np.ndarray,
-    s: np.ndarray,
+    s: np.ndarray | None,
+    scale: Interpolated,
+    aim: np.ndarray,
     directions: np.ndarray,
     may_move: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The mean of a bound of G on each interval, and how far the curve is moved for it.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A curve s in S, scale s at GAUSS, the mean of a bound of its G, how far it is moved for that.
 
-    G <= most (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses.
+    s = sum_k b_k size_k s_k / sum_k b_k size_k, size_k > 0 the coefficients of the scale, so that
+    scale s is a cubic; where they may be 0 s is constant. G is at most the largest scale times
+    sigma(S, -v') + <v', s>, a scale of several entries inside the parentheses.
     """
+    sizes = TO_BERNSTEIN @ scale.values
+    error = scale.error @ np.abs([f for _, f in model.motion.scale.terms])
+    if s is None:
+        s = _curve_in_shape(model, TO_BERNSTEIN @ aim, sizes)
+    least, most = sizes.min(axis=1), sizes.max(axis=1)
+    vanishing = (least <= error).any(axis=1)
+    s[vanishing] = s[vanishing].mean(axis=1, keepdims=True)
+    least[vanishing] = most[vanishing]
+    most += np.divide(most * error, least, out=error, where=least > error)
     largest = most.max(axis=1)
     ratios = np.where(may_move, largest**2 / norms.beta, np.inf)
     gaps, distance = model.each(_gaps, directions * most[:, None], s, ratios).T
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
-    return gaps + 2 * speed * model.distance, largest * distance + model.distance
+    gaps, moved = gaps + 2 * speed * model.distance, largest * distance + model.distance
+    return s, basis(3, GAUSS) @ (sizes * s), gaps, moved
 
 
 def _within_rows(
