@@ -324,43 +324,6 @@ def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_traj
         assert 0.0 < error <= bound <= 4 * error
 
 
-def made_of_parts(name):
-    """What has no rows, of parts that each move by data."""
-    waves = [(so.Sine(0.9, 1.3), [1.0, -1.0]), (so.Triangle(0.4, 0.9), [0.0, 1.0])]
-    ball = so.Moving(so.Ball([0.1, 0.0], 1.2), so.Separable(waves), so.Sine(0.2, 1.7, 0.3, 1.0))
-    box = so.Moving(so.Box([-1, -0.8], [1, 0.9]), so.Separable([(so.Sine(0.3, 1.1), [1.0, 1.0])]))
-    h = [(so.Constant(), [1, 1, 1, 1.5, 1.5]), (so.Sine(0.5, 1.7), [1.0, 0, -1, 0, 0.5])]
-    G = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]]
-    rows = so.Polyhedron(G, so.Separable(h))
-    return {
-        "ball & box": ball & box,
-        "ball & rows, turned": 2.0 * (ball & rows) + so.Ball([0.0, 0.0], 0.2),
-        "rows + box": rows + box,
-        "M rows": so.image([[1.0, 0.5], [0.0, 1.0]], rows),
-    }[name]
-
-
-@pytest.mark.parametrize(
-    "name, A, scheme",
-    [
-        ("ball & box", 0.3, "sdirk2"),
-        ("ball & box", 0.0, "implicit-euler"),
-        ("M rows", 0.3, "implicit-euler"),
-        pytest.param("ball & rows, turned", 0.3, "sdirk2", marks=pytest.mark.slow),
-        pytest.param("rows + box", 0.3, "implicit-euler", marks=pytest.mark.slow),
-    ],
-)
-def test_what_is_made_of_parts_that_move_by_data_has_a_guaranteed_bound(name, A, scheme):
-    C, B = made_of_parts(name), np.array([[1.2, 0.2], [0.2, 1.0]])
-    u0 = np.linalg.solve(B, C.at(0.0).project([-3.0, 2.0]))
-    process = so.SweepingProcess(A * np.eye(2), B, C, u0)
-    fine = so.solve(process, t_end=1.5, steps=150, scheme="sdirk2", tol=1e-9)
-    sol = so.solve(process, t_end=1.5, steps=8, scheme=scheme)
-    bound, error = sol.error_bound(), sizes(process, sol(fine.t) - fine.u).max()
-    assert bound.guaranteed
-    assert 0.99 * error <= bound <= 5 * error  # the reference is known to 1 % of the error
-
-
 def test_a_sampled_bound_says_what_is_not_known():
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     box = so.Box([-1.0, -1.0], [1.0, 1.0])

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import sweepopt as so
-from sweepopt.sets import family
 
 TIMES = (0.3, 2.0)
 G = np.vstack([np.eye(2), -np.eye(2), [[1.0, 1.0]]])
@@ -79,48 +78,6 @@ def test_sums_multiples_images_and_products_of_translates_by_data_are_such(famil
         np.eye(C.dim), np.eye(C.dim), C, C.at(0.0).project(np.zeros(C.dim))
     )
     assert so.solve(process, t_end=1.0, steps=10).error_bound().guaranteed
-
-
-def parts_of_data():
-    ball = FAMILIES["scaled data"]
-    h = [(so.Constant(), [1.5, 1.0, 1.2, 1.0, 1.4]), (so.Sine(0.2, 1.3), [1, -1, 0, 1, 0.5])]
-    rows = so.Polyhedron(G, so.Separable(h))
-    box = so.Moving(so.Box([-1.0, -1.2], [1.1, 0.9]), WAVES)
-    M = np.array([[1.0, 0.5], [0.2, -1.0], [0.3, 0.7]])
-    return {
-        "C & D": ball & box,
-        "C & D & v": (ball & rows) & so.HalfSpace([1.0, 2.0], 1.1),
-        "(C & D) + E": -2.0 * (ball & rows) + so.Ball([1.0, 0.0], 0.5),
-        "rows + C": rows + ball,
-        "M rows": so.image(M, rows),
-        "product": so.product(ball & rows, so.image(M, rows)) + np.arange(5.0),
-    }
-
-
-@pytest.mark.parametrize("name", parts_of_data())
-def test_a_set_made_of_data_has_the_points_and_the_support_that_its_parts_tell(name):
-    C = parts_of_data()[name]
-    phi = family.histories(C)
-    a, b = 0.1, 0.25  # no breakpoint of the parts is between them
-    times = a + (b - a) * np.linspace(0, 1, 5)
-    values = [{one: one(t) for one in phi} for t in times.tolist()]
-    none = dict.fromkeys(phi, 0.0)
-    rng = np.random.default_rng(3)
-    for p in rng.normal(size=(3, C.dim)):
-        same(family.member(C, values[2], none), C.at(times[2]))
-        bound = family.support(C, p, values[2])
-        at = [sum(bound[one] * v for one, v in some.items()) + bound[None] for some in values]
-        sigma = np.array([C.at(t).support(p) for t in times])
-        assert (at >= sigma - 1e-7).all()
-        assert at[2] == pytest.approx(sigma[2], abs=2e-3)
-        # between the values at two times, and where they are known up to an error
-        ends = [family.member(C, some, none).project(9 * p) for some in (values[0], values[-1])]
-        middle = {one: 0.5 * (values[0][one] + values[-1][one]) for one in phi}
-        assert family.member(C, middle, none).contains(np.mean(ends, axis=0), 1e-9)
-        error = dict.fromkeys(phi, 0.01)
-        smaller = family.member(C, values[1], error).project(9 * p)
-        off = {one: v + rng.choice([-0.01, 0.01]) for one, v in values[1].items()}
-        assert family.member(C, off, none).contains(smaller, 1e-9)
 
 
 def test_operations_of_two_moving_sets_commute_with_time():

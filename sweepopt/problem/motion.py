@@ -39,7 +39,6 @@ from sweepopt.sets import (
     Moving,
     MovingOffsets,
     MovingSet,
-    family,
 )
 
 Terms = tuple[tuple[Any, np.ndarray], ...]
@@ -128,7 +127,7 @@ ONE = TimeFunction.of(Constant(), 1)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """C(t) = center(t) + scale(t) S, or { w : G w <= h(t) }, or made of such, or neither.
+    """C(t) = center(t) + scale(t) S, or { w : G w <= h(t) }, or neither.
 
     Attributes
     ----------
@@ -137,7 +136,7 @@ class Motion:
     center, scale : TimeFunction
         A scale of several entries goes with a box S.
     offsets : TimeFunction or None
-        h; of a set that is made of others the values of all histories.
+        h.
     name : str
         How messages call the function that moves C: "center", "load" or "h".
     """
@@ -166,9 +165,7 @@ def motion(C: AnySet) -> Motion:
         return Motion(C.shape, still, offsets=offsets, name="h")
     if isinstance(C, ConvexSet):
         return Motion(C, still)
-    phi = family.histories(C)
-    values = TimeFunction(tuple(zip(phi, np.eye(len(phi)), strict=True)), len(phi)) if phi else None
-    return Motion(None, TimeFunction((), C.dim, C.at), offsets=values, name="the load of a part")
+    return Motion(None, TimeFunction((), C.dim, C.at))
 
 
 def histories_of(C: AnySet, inside: bool = True) -> list[Any]:

@@ -163,8 +163,7 @@ def error_bound(
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
     best = "straight" if stiff else "velocities"
-    largest, lower = _largest_state(process, norms, float(run.t[0]), float(run.t[-1])), 0.0
-    share, one_curve, by_points = _methods(process, plan, float(run.t[0]), largest < math.inf)
+    share, one_curve, by_points = _methods(process, plan)
     work = math.ceil(share * WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b))
     tol = plan.tol if plan.cones else min(plan.tol, TOL)
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
@@ -175,11 +174,13 @@ def error_bound(
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     ends = norms.A(run.u)
+    largest, lower = _largest_state(process, norms, float(run.t[0]), float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
         work -= len(t) - 1
         nodes, slopes, members = companion(process, plan, velocities, t, by_points)
-        chosen = [best] if one_curve else CURVES
+        # of unbounded sets all, as velocities of a cubic may have no support function
+        chosen = [best] if one_curve and largest < math.inf else CURVES
         curves = slopes_of_curves(nodes, slopes, chosen)
         each, reason = residuals(process, norms, nodes, curves, variation, members)
         growth = _growth(norms, t, each)
@@ -205,13 +206,8 @@ def error_bound(
     return ErrorBound.make(reason, run.t, A, B, lower)
 
 
-def _methods(
-    process: SweepingProcess, plan: Plan, start: float, bounded: bool
-) -> tuple[float, bool, bool]:
-    """The share of WORK, whether one curve v is tried, and whether w is one of programs' points.
-
-    Of unbounded sets all curves are, as velocities of a cubic may have no support function.
-    """
+def _methods(process: SweepingProcess, plan: Plan) -> tuple[float, bool, bool]:
+    """The share of WORK, whether one curve v is tried, and whether w is one of programs' points."""
     moving = motion(process.C)
     shape, is_data = moving.shape, moving.scale.function is None
     if plan.cones and (shape is None or not is_data):
@@ -220,15 +216,11 @@ def _methods(
             "path='cones': give C(t) as data, such as so.Separable, or take path='full'"
         )
     large = plan.contact is not None and process.dim > LARGE
-    if shape is None and moving.offsets is not None:  # made of others: its projections iterate
-        bounded = math.isfinite(process.C.at(start).magnitude())
-        return OF_LARGE if large else OF_CURVED, bounded, False
     if shape is None or moving.offsets is not None:
-        return OF_LARGE if large else 1.0, large and bounded, False
+        return OF_LARGE if large else 1.0, large, False
     by_points = is_data and not shape.exact and plan.reduction is None
     share = 1.0 if shape.exact and shape.sharp_gaps else OF_CURVED
-    one_curve = (large or not shape.sharp_gaps) and bounded
-    return OF_LARGE if large else share, one_curve, by_points
+    return OF_LARGE if large else share, large or not shape.sharp_gaps, by_points
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:

@@ -5,11 +5,10 @@ r = A v' + B v - w and G = sigma(C(t), -v') + <v', w>. Where C(t) = center(t) + 
 w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and both integrals are
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
 histories. Where C(t) = { w : G w <= h(t) } is data, w is a curve whose Bernstein coefficients are
-projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma; so it is where
-C(t) is made of sets that move by data (sets/family.py). For any other C(t) whose variation is
-known, S is the set at the middle of a part of the step: the distance d of w(t) to s(t) is at most
-the variation on half of the part, and adds 2 |v'| d to the bound of G. As C(t) may be any set so
-near, no bound falls faster than sqrt(d). Otherwise both integrals are sampled, and are no bounds.
+projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma. For any other
+C(t) whose variation is known, S is the set at the middle of a part of the step: the distance d of
+w(t) to s(t) is at most the variation on half of the part, and adds 2 |v'| d to the bound of G, so
+that the bound falls as sqrt(d). Otherwise both integrals are sampled, and are no bounds.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import EmptySetError, TouchingError
+from sweepopt.errors import EmptySetError
 from sweepopt.problem import Motion, Norms, SweepingProcess, TimeFunction, motion
 from sweepopt.results.interpolation import (
     GAUSS,
@@ -35,18 +34,7 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.sets import (
-    ROUNDING,
-    Aligned,
-    ConvexSet,
-    MovingSet,
-    NoHalfspacesError,
-    Polyhedron,
-    basis,
-    family,
-    products,
-    to_bernstein,
-)
+from sweepopt.sets import ROUNDING, Aligned, ConvexSet, Polyhedron, basis, to_bernstein
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
@@ -112,7 +100,7 @@ class _Model(NamedTuple):
 
     motion: Motion
     intervals: Intervals
-    shapes: list[Any]
+    shapes: list[ConvexSet]
     distance: np.ndarray
     members: np.ndarray | None = None
 
@@ -144,34 +132,28 @@ def residuals(
         Points of C(t), a Moving set, at all nodes but the first.
     """
     data = motion(process.C)
-    reason = _unknown(data, process.C.at(float(nodes.t[0])))
+    reason = _unknown(data)
     if members is not None:
         scale = data.scale.at(nodes.t[1:])
         members = (members - data.center.at(nodes.t[1:])) / scale if scale.all() else None
     model = _model(process, data, reason, norms, nodes, variation, members)
     try:
-        bounds = _bounds(process, norms, nodes, curves, model)
+        moving = model.motion
+        known = bool(model.shapes) and model.shapes[0].certifiable
+        known = known and moving.center.bounded and moving.scale.bounded
+        return _bounds(process, norms, nodes, curves, model), "" if known else reason
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
-    except (EmptySetError, TouchingError, NoHalfspacesError) as error:
-        reason = (
-            "C(t) is nearly empty at times, or a part that tables do not move has no rows and is "
-            f"no ball ({error})"
-        )
-        function = Motion(None, TimeFunction((), process.dim))
-        model = _model(process, function, reason, norms, nodes, variation, None)
-        bounds = _bounds(process, norms, nodes, curves, model)
-    moving = model.motion
-    known = bool(model.shapes) and getattr(model.shapes[0], "certifiable", True)
-    known = known and moving.center.bounded and moving.scale.bounded
-    return bounds, "" if known else reason
+    except EmptySetError as error:
+        reason = f"C(t) is nearly empty at times ({error})"
+        return _bounds(process, norms, nodes, curves, _on_steps(process, nodes)), reason
 
 
-def _unknown(data: Motion, C: ConvexSet) -> str:
+def _unknown(data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
-    if data.shape is None and data.offsets is None:
+    if data.shape is None:
         return "C(t) is a function of time: write it as a Moving set, or give variation="
-    if not C.certifiable:
-        return f"nothing is proved of {type(data.shape or C).__name__}"
+    if not data.shape.certifiable:
+        return f"nothing is proved of {type(data.shape).__name__}"
     parts = {data.name: data.offsets or data.center, "scale": data.scale}
     for name, f in parts.items():
         if not f.bounded:
@@ -179,7 +161,7 @@ def _unknown(data: Motion, C: ConvexSet) -> str:
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
                 "so.Table, or give variation="
             )
-    if data.offsets is not None and data.shape is not None and not data.shape.exact:
+    if data.offsets is not None and not data.shape.exact:
         return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
     return ""
 
@@ -195,16 +177,12 @@ def _model(
 ) -> _Model:
     """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
-    if variation is not None and reason and not data.center.bounded:
+    if variation is not None and not data.center.bounded:
         moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         parts = 1 if moving.shape.sharp_gaps or members is not None else PARTS
         intervals = smooth_intervals(moving, nodes.t, parts)
         return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)), members)
-    if moving is not None and moving.offsets is not None:
-        moving = replace(moving, center=TimeFunction((), process.dim))
-        intervals = smooth_intervals(moving, nodes.t)
-        return _Model(moving, intervals, [process.C], np.zeros(len(intervals.step)))
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
@@ -311,8 +289,6 @@ def _on_intervals(
             norms, model.motion, terms, s, center, scale
         )
         error = error + moved / math.sqrt(norms.beta)
-    elif isinstance(model.shapes[0], MovingSet):
-        w, gaps = _within_parts(model, aim, directions, offsets)
     else:
         w, gaps = _within_rows(model, aim, directions, offsets)
     r = TO_LOBATTO @ (force - w)
@@ -390,31 +366,6 @@ def _within_rows(
     y = S.multiplier_rows(directions.reshape(-1, S.dim), of_each)
     y = basis(2, GAUSS) @ y.reshape(*directions.shape[:2], f.dim)
     gaps = (((basis(3, GAUSS) @ slack) + 2 * error[:, None]) * y).sum(axis=2) @ WEIGHTS
-    return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
-
-
-def _within_parts(
-    model: _Model, aim: np.ndarray, directions: np.ndarray, phi: Interpolated
-) -> tuple[np.ndarray, np.ndarray]:
-    """A curve w in a C(t) that is made of others, and the mean of a bound of its G (`family`)."""
-    assert model.motion.offsets is not None
-    C, histories = model.shapes[0], model.motion.offsets.histories
-    values, aim = TO_BERNSTEIN @ phi.values, TO_BERNSTEIN @ aim
-    w, gaps = np.empty_like(aim), np.zeros(len(aim))
-    weights = products(2, aim.shape[1] - 1)
-    for i, (at, error) in enumerate(zip(values, phi.error, strict=True)):
-        known = dict(zip(histories, error.tolist(), strict=True))
-        for k, one in enumerate(at.tolist()):
-            some = family.member(C, dict(zip(histories, one, strict=True)), known)
-            w[i, k] = some.project(aim[i, k])
-        for j, (p, one) in enumerate(zip(directions[i], basis(3, HALVES) @ at, strict=True)):
-            if not p.any():
-                continue
-            a = family.support(C, p, dict(zip(histories, one.tolist(), strict=True)))
-            slopes = np.array([a[one] for one in histories])
-            sigma = a[None] + at @ slopes + error @ np.abs(slopes)
-            size = abs(a[None]) + np.abs(at) @ np.abs(slopes)
-            gaps[i] += weights[j] @ (np.maximum(sigma - w[i] @ p, 0.0) + ROUNDING * size)
     return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from sweepopt.sets import family
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
 from sweepopt.sets.balls import Ball, Balls, Ellipsoid, SecondOrderCone
 from sweepopt.sets.base import (
@@ -63,7 +62,6 @@ __all__ = [
     "check_features",
     "exchanged",
     "facets",
-    "family",
     "image",
     "in_turn",
     "least_distance",

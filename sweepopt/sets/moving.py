@@ -50,7 +50,7 @@ class MovingSet(Operators):
     5.0
     """
 
-    made_of: tuple[Any, ...] = ()  # by an operation: its name and operands
+    operands: tuple[MovingSet, ...] = ()  # what an operation made it of
     histories: tuple[Any, ...] = ()
 
     def __init__(
@@ -83,11 +83,6 @@ class MovingSet(Operators):
         if C.dim != self.dim:
             raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
         return C
-
-    @property
-    def operands(self) -> list[MovingSet]:
-        """The sets that move of those that an operation made it of."""
-        return [C for C in self.made_of[1:] if isinstance(C, MovingSet)]
 
     def contains(self, *_: Any, **__: Any) -> Any:
         """Refused, as are `support` and `project`: C(t) has them."""

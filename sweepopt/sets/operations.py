@@ -73,7 +73,7 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
         points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
         at = partial(_operation_at, on_all, fixed)
         made = MovingSet(at, operation(*points).dim)
-        made.made_of = operation.__name__, *fixed
+        made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
 
     return on_all
