@@ -378,6 +378,27 @@ def test_the_bound_of_composed_and_curved_sets_is_close(name, A):
         assert 0.99 * error <= bound <= most * error  # the reference is known to 1 % of the error
 
 
+@pytest.mark.parametrize("A", [1.0, 1e-3])
+@pytest.mark.parametrize("scale", ["a curve", "closes and opens", "touches 0"])
+def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_error(A, scale):
+    scales = {
+        "a curve": so.Sine(0.6, period=2.5, offset=1.0),
+        "closes and opens": so.Table([0.0, 1.0, 1.5, 3.0], [1.0, 0.0, 0.0, 1.2]),
+        "touches 0": so.Polynomial([1.0, -1.0, 0.25]),  # (1 - t / 2)^2
+    }
+    load = so.Separable([(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])])
+    B = [[1.0, -0.2], [-0.2, 0.8]]
+    for S in (so.Box([-1.0, -0.5], [0.8, 1.0]), so.Ball([0.1, 0.2], 1.0)):
+        process = so.SweepingProcess(A * np.eye(2), B, so.Moving(S, load, scales[scale]), [0.0, 0.0])
+        # both with steps that end at the breakpoints of the scale
+        fine = so.solve(process, t_end=3.0, steps=960, scheme="sdirk2", tol=1e-9)
+        for scheme in ("implicit-euler", "sdirk2"):
+            sol = so.solve(process, t_end=3.0, steps=24, scheme=scheme)
+            bound, error = sol.error_bound(), sizes(process, sol(fine.t) - fine.u).max()
+            assert bound.guaranteed
+            assert 0.99 * error <= bound <= 3 * error  # the reference is known to 1 % of the error
+
+
 def test_points_of_programs_are_in_a_set_that_jumps_at_their_node():
     # -0.4 + (0.05 - -0.4) is below 0.05, where the load jumps
     t = np.array([-1.0, -0.4, 0.05, 1.0])

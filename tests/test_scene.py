@@ -168,7 +168,8 @@ def test_functions_of_time_are_called_at_the_start_of_a_scene_that_lists_its_tim
 
     class Own:
         def contribute(self, space):
-            return so.fem.Contribution(loads=[lambda t: np.full(space.dim, 0.01 * late([0.0], t))])
+            f = np.zeros(space.dim)
+            return so.fem.Contribution(loads=[(lambda t: float(late([0.0], t)), f)])
 
     section = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "left")
     effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", late)]

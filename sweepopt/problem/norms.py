@@ -128,6 +128,8 @@ def _products(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) ->
     if metric is not None:
         for k in np.argsort(-rest, axis=1).T:  # the largest of each family first
             i = np.flatnonzero(rest[np.arange(len(k)), k] > NEGLIGIBLE * known)
+            if not len(i):
+                break
             at = i, k[i]
             solved[at], rest[at] = metric.solve_many(family[at]), 0.0
             squared = (family[at] * solved[at]).sum(axis=1)
