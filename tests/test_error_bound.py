@@ -389,7 +389,9 @@ def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_err
     load = so.Separable([(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])])
     B = [[1.0, -0.2], [-0.2, 0.8]]
     for S in (so.Box([-1.0, -0.5], [0.8, 1.0]), so.Ball([0.1, 0.2], 1.0)):
-        process = so.SweepingProcess(A * np.eye(2), B, so.Moving(S, load, scales[scale]), [0.0, 0.0])
+        process = so.SweepingProcess(
+            A * np.eye(2), B, so.Moving(S, load, scales[scale]), [0.0, 0.0]
+        )
         # both with steps that end at the breakpoints of the scale
         fine = so.solve(process, t_end=3.0, steps=960, scheme="sdirk2", tol=1e-9)
         for scheme in ("implicit-euler", "sdirk2"):

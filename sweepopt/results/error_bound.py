@@ -86,9 +86,10 @@ times closer for bodies of uneven viscosity."""
 OF_CURVED, OF_LARGE = 0.65, 0.3
 """The share of WORK where a step of the second run is dearer, beside those of the run.
 
-That is where C is curved, balls apart, or its projections iterate, and where the run eliminates
-most unknowns of a large body. Bounds then take up to 12 and 17 times as long as the run; with all
-of WORK 25 times for a box cut with a ball, and 137 times for a tube of 4,938 unknowns."""
+That is where C is curved, balls apart, or has many discs, or its projections iterate, and where the
+run eliminates most unknowns of a large body. Bounds then take up to 13 and 10 times as long as the
+run; with all of WORK 25 times for a box cut with a ball, or 247 discs, 137 times for a tube of
+4,938 unknowns."""
 FINER = 5
 """A grid has at most so many times as many steps more than the one before: where the second run has
 the scheme of the run, |v - u_n| on the first grid tells nothing of the error, and all of WORK would
@@ -219,8 +220,9 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[float, bool, bool]:
     if shape is None or moving.offsets is not None:
         return OF_LARGE if large else 1.0, large, False
     by_points = is_data and not shape.exact and plan.reduction is None
-    share = 1.0 if shape.exact and shape.sharp_gaps else OF_CURVED
-    return OF_LARGE if large else share, large or not shape.sharp_gaps, by_points
+    share = 1.0 if shape.exact and shape.sharp_gaps and not plan.cones else OF_CURVED
+    one_curve = large or plan.cones or not shape.sharp_gaps
+    return OF_LARGE if large else share, one_curve, by_points
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
