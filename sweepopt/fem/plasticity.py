@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+import skfem
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
@@ -36,7 +37,7 @@ from sweepopt.fem.effects import (
     Stress,
     deviators,
 )
-from sweepopt.fem.fields import Array, Coefficient, Datum
+from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.spaces import BODY, Discretisation, Place
 
 COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
@@ -50,8 +51,7 @@ ZZ = -2 / np.sqrt(6)  # of e_zz in the second deviator
 class Plasticity(Record):
     """``J(p') = int sqrt(2/3) sigma_y |p'|`` of plastic strains p: von Mises's yield stress.
 
-    Stresses are those of the scene's elasticity on e(u) - p. Where a body stays elastic sigma_y is
-    large.
+    Stresses are those of the scene's elasticity on e(u) - p. Several of a kind act on subdomains.
 
     Parameters
     ----------
@@ -65,6 +65,8 @@ class Plasticity(Record):
         tangent modulus E_t in tension has Hi = E E_t / (E - E_t).
     eta : as sigma_y
         Perzyna's viscosity of p (Pa s), >= 0.
+    on : str or sequence of str
+        Subdomains; "body" for all of it.
 
     Attributes
     ----------
@@ -78,14 +80,15 @@ class Plasticity(Record):
 
     Examples
     --------
-    >>> Plasticity(sigma_y=250.0, Hk=470.0).Hk
-    470.0
+    >>> Plasticity(sigma_y=250.0, Hk=470.0).on
+    ('body',)
     """
 
     sigma_y: Datum
     Hk: Datum = 0.0
     Hi: Datum = 0.0
     eta: Datum = 0.0
+    on: Sequence[str] = (BODY,)
     elasticity: Any = field(default=None, init=False)
     data = COEFFICIENTS
 
@@ -100,7 +103,9 @@ class Plasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
-        place = body.place("sigma_y", (BODY,), strains=True)
+        place = body.place("on", self.on, strains=True)
+        if not isinstance(place.basis, skfem.CellBasis):
+            raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place))
         at_points = self._moduli(body, place)
         lam, mu = map(np.ravel, at_points)
@@ -149,27 +154,33 @@ class Plasticity(Record):
         """-2 mu p."""
 
         def share(motion: Kinematics) -> Array:
-            place, p, zz = self._strains(body, motion.internal)
+            cells, place, p, zz = self._strains(body, motion.internal)
             if zz.size:
                 p[..., 1] -= ZZ * zz
-            return -2 * self._moduli(body, place)[1][..., None] * p
+            stress = np.zeros((len(p), body.mesh.nelements, *p.shape[2:]))
+            stress[:, cells] = -2 * self._moduli(body, place)[1][..., None] * p
+            return stress
 
         return share
 
     def plastic_strain(self, body: Discretisation, internal: Array) -> Array:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells)."""
-        place, p, _ = self._strains(body, internal)
-        return np.sqrt(2 / 3) * (place.shares * np.linalg.norm(p, axis=3)).sum(axis=2)
+        cells, place, p, _ = self._strains(body, internal)
+        strain = np.zeros((len(p), body.mesh.nelements))
+        strain[:, cells] = np.sqrt(2 / 3) * (place.shares * np.linalg.norm(p, axis=3)).sum(axis=2)
+        return strain
 
-    def _strains(self, body: Discretisation, internal: Array) -> tuple[Place, Array, Array]:
-        """The points of strains, p of each and, in plane stress, the part of e_zz."""
-        place = body.place("sigma_y", (BODY,), strains=True)
+    def _strains(
+        self, body: Discretisation, internal: Array
+    ) -> tuple[Indices, Place, Array, Array]:
+        """The cells, their points, p of each and, in plane stress, the part of e_zz."""
+        place = body.place("on", self.on, strains=True)
         shape = len(internal), *place.basis.dx.shape
         beside = place.basis.dx.size if body.kind == "plane stress" else 0
         _, _, Hi, _ = self.values_at(place)
         zz = internal[:, :beside].reshape(shape if beside else (0,))
         p = internal[:, beside:].reshape(*shape, -1)[..., int(Hi.any()) :].copy()
-        return place, p, zz
+        return np.arange(body.mesh.nelements)[place.basis.tind].ravel(), place, p, zz
 
 
 def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:
@@ -180,4 +191,4 @@ def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:
             "class; give a small Hk or Hi, or a viscosity eta"
         )
     if Hi.any() and Hi.min() <= 0:
-        raise InputError("Hi: must be > 0 everywhere or 0; give a small one where there is none")
+        raise InputError("Hi: must be > 0 everywhere or 0; state two effects, on two subdomains")
