@@ -83,7 +83,7 @@ WORK = {"implicit-euler": 11, "sdirk2": 8}
 
 A bound then takes 7.7 times as long as the run (median; worst 13). With 13 and 10 bounds were 1.25
 times closer for bodies of uneven viscosity."""
-OF_CURVED, OF_LARGE = 0.65, 0.3
+OF_CURVED, OF_LARGE = 0.65, {"implicit-euler": 0.4, "sdirk2": 0.3}
 """The share of WORK where a step of the second run is dearer, beside those of the run.
 
 That is where C is curved, balls apart, or has many discs, or its projections iterate, and where the
@@ -164,7 +164,7 @@ def error_bound(
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
     best = "straight" if stiff else "velocities"
-    share, one_curve, by_points = _methods(process, plan)
+    share, one_curve, by_points = _methods(process, plan, OF_LARGE[scheme.name])
     work = math.ceil(share * WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b))
     tol = plan.tol if plan.cones else min(plan.tol, TOL)
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
@@ -207,7 +207,7 @@ def error_bound(
     return ErrorBound.make(reason, run.t, A, B, lower)
 
 
-def _methods(process: SweepingProcess, plan: Plan) -> tuple[float, bool, bool]:
+def _methods(process: SweepingProcess, plan: Plan, of_large: float) -> tuple[float, bool, bool]:
     """The share of WORK, whether one curve v is tried, and whether w is one of programs' points."""
     moving = motion(process.C)
     shape, is_data = moving.shape, moving.scale.function is None
@@ -218,11 +218,11 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[float, bool, bool]:
         )
     large = plan.contact is not None and process.dim > LARGE
     if shape is None or moving.offsets is not None:
-        return OF_LARGE if large else 1.0, large, False
+        return of_large if large else 1.0, large, False
     by_points = is_data and not shape.exact and plan.reduction is None
     share = 1.0 if shape.exact and shape.sharp_gaps and not plan.cones else OF_CURVED
     one_curve = large or plan.cones or not shape.sharp_gaps
-    return OF_LARGE if large else share, one_curve, by_points
+    return of_large if large else share, one_curve, by_points
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
