@@ -58,10 +58,11 @@ def effect_rows(effects: dict[str, Any]) -> list[str]:
     from sweepopt.fem import EFFECTS
 
     rows = []
-    for name, table in effects.items():
-        values = ", ".join(f"`{key} = {toml(value)}`" for key, value in table.items())
+    for name, tables in effects.items():
         kind = EFFECTS[name].__name__
-        rows.append(f"| `{name}` ({{py:class}}`~sweepopt.fem.{kind}`) | {values} |")
+        for table in tables if isinstance(tables, list) else [tables]:
+            values = ", ".join(f"`{key} = {toml(value)}`" for key, value in table.items())
+            rows.append(f"| `{name}` ({{py:class}}`~sweepopt.fem.{kind}`) | {values} |")
     return rows
 
 
