@@ -276,7 +276,8 @@ def _history(table: Any, path: str, folder: Path) -> Any:
             wave = _called(kind, keys, path, folder)
             if envelope is None:
                 return wave
-            return Modulated(wave, _history(envelope, f"{path}.envelope", folder))
+            with at_path(f"{path}."):
+                return Modulated(wave, _history(envelope, "envelope", folder))
         case {"table": points, **others} if not others:
             return _called(_points, points, f"{path}.table", folder)
     given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)

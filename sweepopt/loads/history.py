@@ -46,7 +46,8 @@ class NoArithmetic:
         raise InputError(
             "loads and histories are not added or multiplied: a sum is one "
             "so.Separable([(phi, f), (psi, g)]), a factor goes into f, an amplitude or a table's "
-            "values, and a set that a load moves is so.Moving(C, center=load)"
+            "values, a product of two histories is so.Modulated(phi, psi), and a set that a load "
+            "moves is so.Moving(C, center=load)"
         )
 
     __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __neg__ = _refuse
@@ -399,7 +400,10 @@ class Modulated(History):
     def __post_init__(self) -> None:
         for name, one in (("wave", self.wave), ("envelope", self.envelope)):
             if not isinstance(one, History) or isinstance(one, Modulated):
-                raise InputError(f"{name} must be data, such as Sine or Table, got {shown(one)}")
+                raise InputError(
+                    f"{name} must be data, such as Sine or Table, and no product itself, got "
+                    f"{shown(one)}"
+                )
 
     @property
     def factors(self) -> tuple[History, ...]:
@@ -436,11 +440,12 @@ class Modulated(History):
         return np.maximum(sizes[:, 1:], sizes[:, :-1]), np.abs(np.diff(values))
 
     def piece(self, a: float, b: float) -> Piece:
-        """None."""
+        """Refused: a product has no closed form of this kind."""
         raise InputError(
-            "a Modulated history has no closed form of polynomials and sines; use auto"
+            "a Modulated history has no closed form of polynomials and sines, as the scheme exact "
+            'needs it; take scheme="auto"'
         )
 
     def rate(self) -> History:
-        """None."""
+        """Refused: phi' is no product."""
         return self.slope(0.0)

@@ -134,7 +134,6 @@ class Motion:
     shape : ConvexSet or None
         S, or { w : G w <= 0 } where `offsets` are given; None for neither.
     center, scale : TimeFunction
-        A scale of several entries goes with a box S.
     offsets : TimeFunction or None
         h.
     name : str

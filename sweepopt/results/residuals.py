@@ -320,7 +320,7 @@ def _within_shape(
 
     s = sum_k b_k size_k s_k / sum_k b_k size_k, size_k > 0 the coefficients of the scale, so that
     scale s is a cubic; where they may be 0 s is constant. G is at most the largest scale times
-    sigma(S, -v') + <v', s>, a scale of several entries inside the parentheses.
+    sigma(S, -v') + <v', sum_k b_k s_k>.
     """
     sizes = TO_BERNSTEIN @ scale.values
     error = scale.error @ np.abs([f for _, f in model.motion.scale.terms])
