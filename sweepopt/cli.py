@@ -29,6 +29,7 @@ from sweepopt.errors import (
 )
 from sweepopt.integrate import SolveOptions, schemes
 from sweepopt.io import find_scene, folder_at, list_scenes, read_toml
+from sweepopt.problem import Norms
 from sweepopt.velocity import Plan, solvers
 
 if TYPE_CHECKING:
@@ -199,7 +200,10 @@ def _run(options: argparse.Namespace) -> int:
             files = pictures.write(report, folder, drawn)
         _conclude(report, folder, files)
         if options.bound:
-            print(as_lines([("error bound", repr(solution.error_bound()))]))
+            norms, bound = Norms(process), solution.error_bound()
+            beside = f"in the norm of {'B' if norms.weak else 'A'}, where the largest u has"
+            words = f"{bound!r} {beside} {norms.A(solution.u).max():.4g}"
+            print(as_lines([("error bound", words)]))
     else:
         _say(f"no step was completed, nothing is written. {solution.message}")
     return INTERRUPTED if solution.status is Status.INTERRUPTED else code

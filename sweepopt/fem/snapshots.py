@@ -154,7 +154,7 @@ def _deformed(
     moved, look = body.points + factor * u, colours_of(faces, rising)
     faces = np.tile(faces, len(triangles) // faces.shape[1])  # the parts of a P2 element
     below = contact is not None and contact.points[:, 2].mean() < body.points[:, 2].mean()
-    label = f"{label} (displacements drawn {factor:.2g} times as large)"
+    label = f"{label}\n(drawn {factor:.2g} times as large)"
     legend = states_of(report.slip)
 
     def render(panel: Any, i: int) -> Any:
@@ -340,7 +340,7 @@ def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
     """A figure with the field at ends of steps, up to three in a row, and its first panel."""
     columns = min(len(steps), 3)
     rows = -(-len(steps) // columns)
-    figure = new_figure((4.0 * max(columns, 2), 3.5 * rows))
+    figure = new_figure((max(4.0 * columns, 5.5), 3.5 * rows))  # a legend is wide
     kind = {"projection": "3d"} if field.points.shape[1] == 3 else {}
     panels = figure.subplots(rows, columns, squeeze=False, subplot_kw=kind)
     for panel in panels.flat[len(steps) :]:

@@ -106,7 +106,10 @@ def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
 def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, result: Step) -> str:
     """Why a step failed, as far as that can be known."""
     missed = f"{velocity.relative:.2g} of the velocity's size"
-    likely = "The data of this step are scaled too badly for double precision"
+    likely = (
+        "The data of this step are scaled too badly for double precision, or A and B have a common "
+        "null vector, as where nothing holds a body"
+    )
     if plan.tol < ROUNDING:
         likely = "tol is below the rounding of double precision"
     if plan.scheme.exact:
@@ -128,7 +131,7 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
         tried, likely = "", f"It cannot be taken in parts: {result.cause}"
     elif velocity.solver == INDEFINITE:
         best = "A + gamma B is not positive definite to rounding"
-        likely = "B is so large, or its rows cancel so far, that A is lost in the sum"
+        likely = "B is so large, or cancels so far, that A is lost in it, or nothing holds a body"
     elif not process.C.at(t).exact:
         likely = "C(t) is nearly empty, or its projection is not exact enough"
     return f"{best}{tried}. {likely}; loosen tol, take smaller steps or another solver"

@@ -205,8 +205,9 @@ class SweepingProcess(Displayed):
             raise IndefiniteError(
                 "A + tau B must be positive definite for every tau > 0: on the common kernel of A "
                 "and B nothing determines the velocity, and a bounded C(t) does so only up to its "
-                "faces, where no certificate tells several velocities apart; give these unknowns "
-                "viscosity or elasticity, a little of it for an element that shall have none"
+                "faces, where no certificate tells several velocities apart; hold the body, if it "
+                "can move or turn as a whole, or give these unknowns viscosity or elasticity, a "
+                "little of it for an element that shall have none"
             ) from None
 
     def as_sweeping(self) -> SweepingProcess:

@@ -51,13 +51,17 @@ if TYPE_CHECKING:
     from sweepopt.integrate import Trajectory
 
 
-SCIPY = {
+TRIED = {
     "y": "the states are u, one row a time",
     "x": "the states are u, one row a time",
     "times": "the times are t",
     "sol": "the solution is a function: call it",
+    "time": "the times are t",
+    "v": "the velocities are velocity, one row a step",
+    "z": "the velocities are velocity, one row a step",
+    "certificate": "certificates are stats['certificate'], one a step",
 }
-"""Attributes of the answer of SciPy's solve_ivp, and what stands here for them."""
+"""Names that users try, those of SciPy's solve_ivp first, and what stands here for them."""
 
 
 class Field(NamedTuple):
@@ -126,8 +130,8 @@ class Solution(Displayed):
     if not TYPE_CHECKING:  # to a type checker no other attribute exists
 
         def __getattr__(self, name: str) -> Any:
-            if name in SCIPY:
-                raise AttributeError(f"Solution has no attribute {name}; {SCIPY[name]}")
+            if name in TRIED:
+                raise AttributeError(f"Solution has no attribute {name}; {TRIED[name]}")
             return object.__getattribute__(self, name)
 
     def _rows(self) -> Rows:

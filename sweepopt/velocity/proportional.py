@@ -262,7 +262,8 @@ def _extension_error(A: Elimination, residual: Callable[..., float]) -> float:
     f[A.unknowns] = A.root[A.unknowns]
     zeta = A.solve(f)[A.unknowns]
     v = _extension(A, zeta)
-    return 2 * residual(v, 0 * v, -Precise(A.N)(zeta)) / A.norm(v)
+    size = A.norm(v)  # 0 where A has a null vector but for rounding
+    return 2 * residual(v, 0 * v, -Precise(A.N)(zeta)) / size if size else np.inf
 
 
 def _less_B(B: Matrix | None, u: np.ndarray, f: np.ndarray) -> np.ndarray:
