@@ -283,9 +283,10 @@ class Cascade:
             nothing = unsolved(of).z
             for attempt in self._attempts:
                 pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
-                missing = np.linalg.norm(inclusion.M.M @ pair.z + of.force - pair.w)
-                forces = np.linalg.norm(of.force) + np.linalg.norm(pair.w)
-                if (pair.gap < math.inf and missing <= WRONG * forces) or math.isnan(pair.gap):
+                residual = inclusion.M.M.dot(pair.z) + of.force - pair.w
+                most = WRONG**2 * (of.force.dot(of.force) + pair.w.dot(pair.w))
+                known = pair.gap < math.inf and residual.dot(residual) <= most
+                if known or math.isnan(pair.gap):
                     w = pair.w + of.c if pair.gap < math.inf else None
                     return Velocity(pair.z, math.nan, math.nan, attempt.solver.name, w=w)
                 attempt.compiled = None
