@@ -324,6 +324,20 @@ def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_traj
         assert 0.0 < error <= bound <= 4 * error
 
 
+@pytest.mark.parametrize("A", [1.0, 1e-4])
+def test_a_wrong_velocity_of_the_second_run_is_not_believed(A):
+    # without a check of M z + q = w DAQP's velocities make the bound 20 to 50 times the error
+    S = -1.3 * so.HalfSpace([1.07], 1.0) - [0.15]
+    C = so.Moving(S, so.Separable([(so.Sine(2.3, 2.3), [1.0])]))
+    process = so.SweepingProcess(A, 0.5, C, 0.0)
+    truth = so.solve(process, t_end=4.0, steps=1, scheme="exact")
+    sol = so.solve(process, t_end=4.0, steps=40, scheme="implicit-euler")
+    times = divided(sol.t, 16)
+    bound, error = sol.error_bound(), sizes(process, sol(times) - truth.exact(times)).max()
+    assert bound.guaranteed
+    assert error <= bound <= 2 * error
+
+
 def test_a_sampled_bound_says_what_is_not_known():
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     box = so.Box([-1.0, -1.0], [1.0, 1.0])
