@@ -338,3 +338,22 @@ def refused(C):
     """A process that the scheme does not apply to, for data/refused.txt."""
     process = so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim))
     so.solve(process, t_end=1.0, steps=10, scheme="exact")
+
+
+def test_a_switch_that_is_missed_inside_of_a_step_is_no_success():
+    # A is next to nothing and B has rank one: a row that ceases to hold near 1.71 is not seen
+    times = [0.0, 0.51, 1.47, 1.7, 1.72, 1.78, 1.79, 2.32]
+    load = so.Table(times, [0.0, 1.85, -1.34, -0.29, -1.37, -1.0, -0.77, -0.66])
+    scale = so.Sine(0.26, period=3.76, phase=1.1, offset=1.18)
+    C = so.Moving(
+        so.Box([-0.98, -1.48], [0.39, 0.87]), so.Separable([(load, [-2.06, 1.93])]), scale
+    )
+    A = 1e-8 * np.array([[7.75, 1.86], [1.86, 9.49]])
+    process = so.SweepingProcess(A, np.outer([5.62, -1.83], [5.62, -1.83]), C, [0.0147, -0.004774])
+    try:
+        exact = so.solve(process, steps=[0.0, 2.32], scheme="exact").exact
+    except so.StepError as error:
+        assert "misses the inclusion" in str(error)
+        return
+    fine = so.solve(process, steps=np.linspace(0.0, 2.32, 4001), scheme="implicit-euler", tol=1e-9)
+    assert np.abs(exact(fine.t) - fine.u).max() <= 0.01 * np.abs(fine.u).max()

@@ -114,7 +114,7 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
         likely = "tol is below the rounding of double precision"
     if plan.scheme.exact:
         return (
-            f"the closed form misses the inclusion by {missed} at its end, tol is {plan.tol:g}. "
+            f"the closed form misses the inclusion by {missed}, tol is {plan.tol:g}. "
             f"{likely}; loosen tol or use implicit-euler or sdirk2"
         )
     if not velocity.relative > plan.tol:
