@@ -98,6 +98,38 @@ def test_without_friction_there_is_no_slip_and_no_solver():
     assert set(summary["units"].values()) == {"dimensionless", "1"}
 
 
+def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(report, tmp_path):
+    folder = tmp_path / "out"
+    (folder / "vtu").mkdir(parents=True)
+    earlier = ["contact.png", "vtu/step_000007.vtu"]
+    mine = ["displacement.png", "vtu/step_000008.vtu", "notes.txt", "../outside.png"]
+    for name in (*earlier, *mine, "solution.nc"):
+        (folder / name).write_text("content")
+
+    def left():
+        return {file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("*.*")}
+
+    whole = left() | {"out/summary.json"}
+    for no_summary in (
+        None,
+        "[1, 2]",
+        "half of a summ",
+        '{"title": ""}',
+        '{"files": 3}',
+        "[" * 9999,
+    ):
+        if no_summary:
+            (folder / "summary.json").write_text(no_summary)
+        write_summary(report, folder, ["solution.nc", *earlier])
+        assert left() == whole
+        (folder / "summary.json").unlink()
+    # of what a summary lists that was tampered with, no other kind of file and none outside
+    listed = ["solution.nc", *earlier, "notes.txt", "../outside.png", "absent.png"]
+    (folder / "summary.json").write_text(json.dumps({"files": listed}))
+    write_summary(report, folder, ["solution.nc"])
+    assert whole - left() == {f"out/{name}" for name in earlier}
+
+
 # ---- VTU ------------------------------------------------------------------------------------
 
 

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from sweepopt.results import Energy, Solution
 
 SUMMARY = "summary.json"
+RESULTS = ("*.nc", "*.png", "*.gif", "*.mp4", "vtu/*.series", "vtu/*.vtu")
+"""Files of a run; those that the summary lists are removed by the next run in the same folder."""
 VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra10")}
 """Cells of VTK files on meshes of dimension 1, 2 and 3."""
 SI = {
@@ -172,8 +174,20 @@ def largest(report: Report) -> dict[str, Any]:
 
 
 def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
-    """Write `summary_of` a run."""
+    """Write `summary_of` a run, and remove files of the run before that this one has not written.
+
+    A picture or a VTU file of that run would otherwise pass for one of this run. Only files that
+    the summary of that run lists are removed; what else is in the folder is somebody's own.
+    """
+    try:
+        listed = json.loads((folder / SUMMARY).read_bytes())["files"]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):  # none, or none of ours
+        listed = []
+    earlier = {file for file in listed if isinstance(file, str)} if type(listed) is list else set()
     _write_json(folder / SUMMARY, summary_of(report, files))
+    for path in [path for pattern in RESULTS for path in folder.glob(pattern)]:
+        if path.is_file() and path.relative_to(folder).as_posix() in earlier.difference(files):
+            path.unlink()
 
 
 Variables = dict[str, tuple[str, str, Any, str]]
