@@ -66,6 +66,18 @@ def test_the_orbiting_load_of_the_sheet_is_data_and_its_bound_close():
 # The tread block
 
 
+def test_the_bound_of_a_body_of_more_than_a_thousand_unknowns_is_close():
+    scene = read_scene("tread")
+    reference = scene.solve(steps=160)
+    for scheme, most in (("implicit-euler", 3), ("auto", 2)):
+        solution = scene.solve(steps=10, scheme=scheme)
+        difference = solution(reference.t) - reference.u
+        error = max(scene.process.metric.norm(e) for e in difference)
+        bound = solution.error_bound()
+        assert bound.guaranteed
+        assert error <= bound <= most * error
+
+
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")  # by processor
 def test_a_step_of_the_tread_block_is_that_of_a_program_stated_by_hand():
     data = read_toml(find_scene("tread"))
