@@ -25,6 +25,7 @@ from sweepopt.errors import (
     StepError,
     SweepoptWarning,
     shown,
+    warn,
 )
 from sweepopt.integrate import (
     MEMORY,
@@ -61,6 +62,7 @@ from sweepopt.velocity import Plan, compile_projection
 GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
 LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
 STEPS = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
+LONG = 1000  # times the given steps: a run that a user may not wait for
 HOPELESS = 100 * STEPS  # by the order of the scheme, from the first grid, which may be too coarse
 
 
@@ -316,7 +318,7 @@ def _with_bound(run: Callable[[np.ndarray], Solution], times: np.ndarray, error:
     """
     last: float | None = None
     solution: Any = None
-    first = len(times)
+    first, long = len(times), False
     while len(times) <= STEPS:
         try:
             solution = run(times)
@@ -338,9 +340,17 @@ def _with_bound(run: Callable[[np.ndarray], Solution], times: np.ndarray, error:
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
         if last is not None and not bound < LEAST_GAIN * last:
             break
+        steps = factor * len(times)
+        if last is not None and LONG * first < steps <= STEPS and not long:
+            long = True
+            warn(
+                f"error = {error:g} takes about {steps:.0e} steps by the order of the scheme, "
+                f"{first - 1} were given; with progress=True the last run shows them",
+                SweepoptWarning,
+            )
         last = float(bound)
         most = max(STEPS, HOPELESS * first / len(times))  # a finer grid is surer of its order
-        if math.isfinite(bound) and factor * len(times) > most:
+        if math.isfinite(bound) and steps > most:
             break
         times = divided(times, max(math.ceil(min(factor, GROWTH)), 2))
     raise AccuracyError(
