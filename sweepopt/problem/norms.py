@@ -94,7 +94,7 @@ class Norms:
 
 
 class Products(NamedTuple):
-    """Products of vectors w_1 ... w_k in a dual norm, for many such families.
+    """Products of vectors w_1 ... w_k in a dual norm, of each of many families of k vectors.
 
     Attributes
     ----------
@@ -119,8 +119,10 @@ def _norm(of_one: Products) -> np.ndarray:
 
 
 def _products(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) -> Products:
+    """Those of families w, shape (..., k, dim), where <Mx, x> >= beta |x|^2."""
     family = w.reshape(-1, *w.shape[-2:])
-    size, scale = np.linalg.norm(family, axis=-1), 1 / math.sqrt(beta) if beta else math.inf
+    size = np.linalg.norm(family, axis=-1)
+    scale = 1 / math.sqrt(beta) if beta else math.inf
     with np.errstate(invalid="ignore"):
         rest = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
     known = np.array(np.broadcast_to(beside, w.shape[:-2]), dtype=float).ravel()

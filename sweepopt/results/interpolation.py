@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import instant
 from sweepopt.errors import InputError
-from sweepopt.loads import History, Modulated, Separable, VectorTable, breakpoints
+from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
@@ -125,11 +125,11 @@ def _derivative(history: Any, order: int, begin: np.ndarray, end: np.ndarray) ->
     That of a product is by Leibniz's rule.
     """
     bounds = np.zeros(len(begin))
-    if isinstance(history, Modulated):
+    if factors := getattr(history, "factors", ()):
+        f, g = factors
         for k in range(order + 1):
-            of_wave = _derivative(history.wave, k, begin, end)
-            of_envelope = _derivative(history.envelope, order - k, begin, end)
-            bounds += math.comb(order, k) * of_wave * of_envelope
+            of_both = _derivative(f, k, begin, end) * _derivative(g, order - k, begin, end)
+            bounds += math.comb(order, k) * of_both
         return bounds
     if order > 1 and getattr(type(history), "piece", None) is History.piece:
         return bounds  # straight

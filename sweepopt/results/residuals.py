@@ -49,6 +49,7 @@ TO_LOBATTO = np.linalg.inv(LOBATTO)
 ROOTS = np.sqrt(WEIGHTS)[:, None]
 MEAN_SQUARE, MEAN = ROOTS * LOBATTO, WEIGHTS[None] @ LOBATTO
 SLOPES = ROOTS * (3 * basis(2, GAUSS) @ np.diff(TO_BERNSTEIN @ LOBATTO, axis=0))
+"""Weights with which `Products.of_sum` is |r|, the mean of r and |r'| in L^2(0, 1)."""
 
 PARTS = 3
 """Parts of a step, on each of which w is a chord of a curved set. With 2 (4) parts bounds were 0.7

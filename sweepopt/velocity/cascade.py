@@ -49,8 +49,9 @@ from sweepopt.velocity.solvers import NEWTON, Answer, Small, Solve, Solver, choo
 WRONG = 1e-3
 """An uncertified pair that misses M z + q = w by a larger share of the forces is no answer.
 
-DAQP gave velocities of 1e15 beside the right force in half-spaces, with which error bounds were up
-to 1e27 times the error (11 of 906 random processes)."""
+Right ones miss it by about TOL of a solver, 1e-8. DAQP gave velocities of 1e15 beside the right
+force in half-spaces, with which error bounds were up to 1e27 times the error (11 of 906 random
+processes)."""
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
 Propose = Callable[[np.ndarray, np.ndarray | None], Proposal]
