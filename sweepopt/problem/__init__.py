@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sweepopt.problem.motion import (
+    ONE,
     Motion,
     Terms,
     TimeFunction,
@@ -22,6 +23,7 @@ from sweepopt.problem.process import (
 )
 
 __all__ = [
+    "ONE",
     "EvolutionVI",
     "Motion",
     "Norms",

@@ -1,9 +1,10 @@
 """How C(t) moves, as data: read here once, for the exact scheme, the proportional path and bounds.
 
-    C(t) = center(t) + scale(t) S        or        C(t) = { w : G w <= h(t) } .
+    C(t) = center(t) + sum_i r_i(t) S_i        or        C(t) = { w : G w <= h(t) } .
 
-A set that moves in another way gives a `Motion` that says so. Below: how far C(t) moves, its total
-variation in |.|_{A^-1} (MATH 1), and where it jumps.
+The first one is often a single S with its scale r(t). A set that moves in another way gives a
+`Motion` that says so. Below: how far C(t) moves, its total variation in |.|_{A^-1} (MATH 1), and
+where it jumps.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -127,15 +129,17 @@ ONE = TimeFunction.of(Constant(), 1)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """C(t) = center(t) + scale(t) S, or { w : G w <= h(t) }, or neither.
+    """C(t) = center(t) + scale(t) S, a sum of several S with scales, { w : G w <= h(t) }, or none.
 
     Attributes
     ----------
     shape : ConvexSet or None
-        S, or { w : G w <= 0 } where `offsets` are given; None for neither.
+        S, or { w : G w <= 0 } where `offsets` are given; None for several and for none.
     center, scale : TimeFunction
     offsets : TimeFunction or None
         h.
+    several : tuple of (TimeFunction, ConvexSet)
+        Scales r_i and sets S_i.
     name : str
         How messages call the function that moves C: "center", "load" or "h".
     """
@@ -145,11 +149,28 @@ class Motion:
     scale: TimeFunction = ONE
     offsets: TimeFunction | None = None
     name: str = "center"
+    several: tuple[tuple[TimeFunction, ConvexSet], ...] = ()
+
+    @property
+    def summands(self) -> tuple[tuple[TimeFunction, ConvexSet], ...]:
+        """All r_i and S_i, also of a single S."""
+        if self.shape is None or self.offsets is not None:
+            return self.several
+        return ((self.scale, self.shape),)
+
+    @property
+    def apart(self) -> bool:
+        """Whether no unknown belongs to two summands."""
+        chosen = [S.selection for _, S in self.summands]
+        if len(chosen) < 2:
+            return True
+        known = [one.unknowns for one in chosen if one is not None and one.shift is None]
+        return len(known) == len(chosen) and len(set(np.concatenate(known))) == sum(map(len, known))
 
     @property
     def histories(self) -> list[Any]:
         """The functions of time in them."""
-        functions = (self.center, self.scale, self.offsets)
+        functions = (self.center, self.scale, self.offsets, *(r for r, _ in self.several))
         return [phi for f in functions if f is not None for phi in f.histories]
 
 
@@ -164,6 +185,14 @@ def motion(C: AnySet) -> Motion:
         return Motion(C.shape, still, offsets=offsets, name="h")
     if isinstance(C, ConvexSet):
         return Motion(C, still)
+    if C.summands is not None:
+        center, S, scaled = C.summands
+        if S.singleton:
+            center += ((Constant(), S.anchor),)
+        else:
+            scaled = ((Constant(), S), *scaled)
+        several = tuple((TimeFunction.of(r, 1), T) for r, T in scaled)
+        return Motion(None, TimeFunction(center, C.dim), several=several)
     return Motion(None, TimeFunction((), C.dim, C.at))
 
 
@@ -282,7 +311,7 @@ def _discontinuities(
 def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
     """All that C(t) moves with, as data; None if C(t) moves in another way."""
     moving = motion(C)
-    if moving.shape is None:
+    if not (moving.shape or moving.several):
         return None
     if moving.offsets is not None:
         G, _, E, _ = moving.shape.halfspaces()
@@ -290,11 +319,15 @@ def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
         of_offsets = _of_offsets(G, metric) if not E.size else lambda dh: np.inf * dh.any()
         return [Move(moving.name, moving.offsets, of_offsets)]
     # sup |sigma(S, z)| / |z|_A = sup |w|_{A^-1} over S, as |sigma(S, z)| <= sigma(S, +-z)
-    extent = 0.0 if moving.scale.constant else _magnitude(moving.shape, metric)
-    return [
-        Move(moving.name, moving.center, metric.dual_norm),
-        Move("scale", moving.scale, lambda r: float(abs(r[0])) * extent if r.any() else 0.0),
-    ]
+    moves = [Move(moving.name, moving.center, metric.dual_norm)]
+    for scale, S in moving.summands:
+        extent = 0.0 if scale.constant else _magnitude(S, metric)
+        moves.append(Move("scale", scale, partial(_of_scale, extent)))
+    return moves
+
+
+def _of_scale(extent: float, r: np.ndarray) -> float:
+    return float(abs(r[0])) * extent if r.any() else 0.0
 
 
 def _of_offsets(G: Any, metric: Factor) -> Distance:

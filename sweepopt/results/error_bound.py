@@ -78,18 +78,14 @@ FADES = 10
 """If mu lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds with
 implicit Euler were 1.1 times those with sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5
 and 9 times at 0.002."""
-WORK = {"implicit-euler": 11, "sdirk2": 8}
-"""Steps that all second runs together may take, by their scheme, for each program of the run.
+WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (6, 4.5, 2.4)}
+"""Steps that all second runs together may take, by their scheme, for each program of the run: where
+projections are exact and cheap; where C is curved, balls apart, or has many discs, or projections
+iterate; and where the run eliminates most unknowns of a large body, so that a step of the second
+run is dearer, beside those of the run.
 
-A bound then takes 7.7 times as long as the run (median; worst 13). With 13 and 10 bounds were 1.25
-times closer for bodies of uneven viscosity."""
-OF_CURVED, OF_LARGE = 0.65, {"implicit-euler": 0.4, "sdirk2": 0.3}
-"""The share of WORK where a step of the second run is dearer, beside those of the run.
-
-That is where C is curved, balls apart, or has many discs, or its projections iterate, and where the
-run eliminates most unknowns of a large body. Bounds then take up to 13 and 10 times as long as the
-run; with all of WORK 25 times for a box cut with a ball, or 247 discs, 137 times for a tube of
-4,938 unknowns. With 0.4 in place of 0.3 that of the fault is 2.8 times the error, not 3.9."""
+With these no bound took more than 10 times as long as the run. With (11, 7, 4.4) and (8, 5, 2.4)
+some took 12 times, and were 1.1 times closer for bodies of uneven viscosity."""
 FINER = 5
 """A grid has at most so many times as many steps more than the one before: where the second run has
 the scheme of the run, |v - u_n| on the first grid tells nothing of the error, and all of WORK would
@@ -164,8 +160,8 @@ def error_bound(
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
     best = "straight" if stiff else "velocities"
-    share, one_curve, by_points = _methods(process, plan, OF_LARGE[scheme.name])
-    work = math.ceil(share * WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b))
+    kind, one_curve, by_points = _methods(process, plan)
+    work = math.ceil(WORK[scheme.name][kind] * (len(run.t) - 1) * len(plan.scheme.b))
     tol = plan.tol if plan.cones else min(plan.tol, TOL)
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
@@ -207,39 +203,42 @@ def error_bound(
     return ErrorBound.make(reason, run.t, A, B, lower)
 
 
-def _methods(process: SweepingProcess, plan: Plan, of_large: float) -> tuple[float, bool, bool]:
-    """The share of WORK, whether one curve v is tried, and whether w is one of programs' points."""
+def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
+    """Which of WORK, whether one curve v is tried, and whether w is one of programs' points."""
     moving = motion(process.C)
-    shape, is_data = moving.shape, moving.scale.function is None
-    if plan.cones and (shape is None or not is_data):
+    sets = [S for _, S in moving.summands]
+    is_data = all(scale.function is None for scale, _ in moving.summands)
+    if plan.cones and not (len(sets) == 1 and is_data):
         raise PathError(
             "error_bound needs projections where C(t) is a function, which take seconds each for "
             "path='cones': give C(t) as data, such as so.Separable, or take path='full'"
         )
     large = plan.contact is not None and process.dim > LARGE
-    if shape is None or moving.offsets is not None:
-        return of_large if large else 1.0, large, False
-    by_points = is_data and not shape.exact and plan.reduction is None
-    share = 1.0 if shape.exact and shape.sharp_gaps and not plan.cones else OF_CURVED
-    one_curve = large or plan.cones or not shape.sharp_gaps
-    return of_large if large else share, one_curve, by_points
+    sharp = all(S.sharp_gaps for S in sets)
+    exact = moving.apart and all(S.exact for S in sets)
+    by_points = len(sets) == 1 and is_data and not exact and plan.reduction is None
+    cheap = exact and sharp and not plan.cones
+    return 2 if large else not cheap, large or plan.cones or not sharp, by_points
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
     """A bound of |u(t)|_A on [a, b]: |u|_A falls where |u|_B > sup |w|_{B^-1}, w in C (MATH 4)."""
     moving = motion(process.C)
     lam = 1.0 if process.rate_independent else norms.lam  # at A = 0, B u = w
-    if moving.shape is None or lam == 0 or norms.beta_B == 0:
+    if not (moving.shape or moving.several) or lam == 0 or norms.beta_B == 0:
         return math.inf
     center = sum(phi * float(norms.dual_B(f)) for phi, f in moving.center.largest(a, b))
-    scale = sum(phi * float(np.abs(f).max()) for phi, f in moving.scale.largest(a, b))
-    shape: Any = moving.shape
+    sets: Any = moving.summands
     if moving.offsets is not None:
         h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
         if not np.isfinite(h).all():
             return math.inf
-        shape = shape.with_offsets(h)
-    w = center + scale * shape.magnitude() / math.sqrt(norms.beta_B)
+        sets = [(moving.scale, moving.shape.with_offsets(h))]
+    size = 0.0
+    for scale, S in sets:
+        most = sum(phi * float(np.abs(f).max()) for phi, f in scale.largest(a, b))
+        size += most * S.magnitude()
+    w = center + size / math.sqrt(norms.beta_B)
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
 
 
@@ -267,13 +266,14 @@ def _more(passes: list[tuple[int, float]], goal: float, work: int) -> int:
 
 
 def _refined(t: np.ndarray, shares: np.ndarray, cuts: int) -> np.ndarray:
-    """The grid with about so many cuts: shares / cuts have the least sum where cuts ~ sqrt(shares).
+    """The grid with at most so many cuts: shares / cuts have the least sum at cuts ~ sqrt(shares).
 
-    Equal shares are cut alike: no threshold lies among them for rounding to decide.
+    What is less than a cut is left to the steps after it; 0.3 are there at first, as sums of equal
+    shares seldom miss a whole number by that, so that rounding does not decide.
     """
     weights = np.sqrt(np.nan_to_num(shares))  # of inf they have a finite sum
-    total = float(weights.sum()) or 1.0
-    parts = 1 + np.rint(cuts * (weights / total)).astype(int)
+    weights *= cuts / (float(weights.sum()) or 1.0)
+    parts = 1 + np.diff(np.floor(0.3 + np.cumsum(weights, dtype=float)), prepend=0).astype(int)
     inside = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     begin, length = (np.repeat(x, parts) for x in (t[:-1], np.diff(t) / parts))
     return np.append(begin + inside * length, t[-1])

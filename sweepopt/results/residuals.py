@@ -4,8 +4,9 @@ For the curve v and a selection w(t) in C(t) this gives int 2 G and int |r|^2 on
 r = A v' + B v - w and G = sigma(C(t), -v') + <v', w>. Where C(t) = center(t) + scale(t) S is data,
 w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and both integrals are
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
-histories. Where C(t) = { w : G w <= h(t) } is data, w is a curve whose Bernstein coefficients are
-projections on the sets of h's Bernstein coefficients, and weak duality bounds sigma. For any other
+histories; a sum of several S with scales has a curve in each. Where C(t) = { w : G w <= h(t) } is
+data, w is a curve whose Bernstein coefficients are projections on the sets of h's Bernstein
+coefficients, and weak duality bounds sigma. For any other
 C(t) whose variation is known, S is the set at the middle of a part of the step: the distance d of
 w(t) to s(t) is at most the variation on half of the part, and adds 2 |v'| d to the bound of G, so
 that the bound falls as sqrt(d). Otherwise both integrals are sampled, and are no bounds.
@@ -21,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import EmptySetError
-from sweepopt.problem import Motion, Norms, SweepingProcess, TimeFunction, motion
+from sweepopt.problem import ONE, Motion, Norms, SweepingProcess, TimeFunction, applied, motion
 from sweepopt.results.interpolation import (
     GAUSS,
     TO_BERNSTEIN,
@@ -34,7 +35,7 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.sets import ROUNDING, Aligned, ConvexSet, Polyhedron, basis, to_bernstein
+from sweepopt.sets import ROUNDING, Aligned, ConvexSet, Polyhedron, basis, split, to_bernstein
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
@@ -92,25 +93,28 @@ class Residuals(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """C(t) on intervals, where its distance to center(t) + scale(t) shape is at most `distance`.
+    """C(t) on intervals, where its distance to center(t) + sum of scale(t) S is at most `distance`.
 
-    There is one distance for each interval, and one shape for each or for all. Without a shape C(t)
-    is known at sampled times only. `members` are points of the shape at all nodes but the first, if
-    they are known: then s(t) is straight between them, and the first one until there.
+    There is one distance for each interval, and of each summand one S for each or for all. Without
+    summands C(t) is known at sampled times only. `members` are points of each S at all nodes but
+    the first, if they are known: then s(t) is straight between them, and the first one until there.
     """
 
     motion: Motion
     intervals: Intervals
-    shapes: list[ConvexSet]
+    summands: list[tuple[TimeFunction, list[ConvexSet]]]
     distance: np.ndarray
-    members: np.ndarray | None = None
+    members: list[np.ndarray] | None = None
 
-    def each(self, function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
-        """function(shape, rows of the arrays) of every shape; of one shape all rows at once."""
-        if len(self.shapes) == 1:
-            return function(self.shapes[0], *arrays)
-        rows = (function(S, *(x[k : k + 1] for x in arrays)) for k, S in enumerate(self.shapes))
-        return np.concatenate(list(rows))
+
+def _each(
+    shapes: list[ConvexSet], function: Callable[..., np.ndarray], *arrays: np.ndarray
+) -> np.ndarray:
+    """function(shape, rows of the arrays) of every shape; of one shape all rows at once."""
+    if len(shapes) == 1:
+        return function(shapes[0], *arrays)
+    rows = (function(S, *(x[k : k + 1] for x in arrays)) for k, S in enumerate(shapes))
+    return np.concatenate(list(rows))
 
 
 def residuals(
@@ -132,16 +136,20 @@ def residuals(
     members : ndarray, shape (n, dim), optional
         Points of C(t), a Moving set, at all nodes but the first.
     """
-    data = motion(process.C)
+    data, points = motion(process.C), None
     reason = _unknown(data)
-    if members is not None:
-        scale = data.scale.at(nodes.t[1:])
-        members = (members - data.center.at(nodes.t[1:])) / scale if scale.all() else None
-    model = _model(process, data, reason, norms, nodes, variation, members)
+    if not data.apart:
+        speed, forces = curves[0, :, 2], applied(process.A, curves[0, :, 2])
+        if process.B is not None:
+            forces += applied(process.B, nodes.u[1:])
+        points = _points_of_several(data, nodes.t[1:], forces, speed)
+    elif members is not None and not data.several and (scale := data.scale.at(nodes.t[1:])).all():
+        points = [(members - data.center.at(nodes.t[1:])) / scale]
+    model = _model(process, data, reason, norms, nodes, variation, points)
     try:
-        moving = model.motion
-        known = bool(model.shapes) and model.shapes[0].certifiable
-        known = known and moving.center.bounded and moving.scale.bounded
+        known = bool(model.summands) and model.motion.center.bounded
+        for scale, shapes in model.summands:
+            known = known and shapes[0].certifiable and scale.bounded
         return _bounds(process, norms, nodes, curves, model), "" if known else reason
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
     except EmptySetError as error:
@@ -149,20 +157,43 @@ def residuals(
         return _bounds(process, norms, nodes, curves, _on_steps(process, nodes)), reason
 
 
+def _points_of_several(
+    data: Motion, times: np.ndarray, forces: np.ndarray, speed: np.ndarray
+) -> list[np.ndarray] | None:
+    """Points of each S at times at which forces are in C(t), normal to -speed; None at a scale 0.
+
+    That of a point outside of C(t) is determined by more than rounding.
+    """
+    scales = np.array([scale.at(times)[:, 0] for scale, _ in data.several])
+    if not scales.all():
+        return None
+    forces = forces - data.center.at(times)
+    fastest = np.linalg.norm(speed, axis=1).max(initial=0.0) or 1.0
+    outside = forces - np.linalg.norm(forces, axis=1).max() / fastest * speed
+    points, start = [], None
+    for sizes, v in zip(scales.T.tolist(), outside, strict=True):
+        sets = [r * S for r, (_, S) in zip(sizes, data.several, strict=True)]
+        some, start = split(sets, v, start)
+        points.append([s / r for s, r in zip(some, sizes, strict=True)])
+    return [np.array(of_one) for of_one in zip(*points, strict=True)]
+
+
 def _unknown(data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
-    if data.shape is None:
+    sets = [S for _, S in data.several] or [data.shape]
+    if sets[0] is None:
         return "C(t) is a function of time: write it as a Moving set, or give variation="
-    if not data.shape.certifiable:
-        return f"nothing is proved of {type(data.shape).__name__}"
-    parts = {data.name: data.offsets or data.center, "scale": data.scale}
-    for name, f in parts.items():
+    for S in sets:
+        if not S.certifiable:
+            return f"nothing is proved of {type(S).__name__}"
+    parts = [(data.name, data.offsets or data.center)]
+    for name, f in parts + [("scale", scale) for scale, _ in data.summands]:
         if not f.bounded:
             return (
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
                 "so.Table, or give variation="
             )
-    if data.offsets is not None and not data.shape.exact:
+    if data.offsets is not None and not sets[0].exact:
         return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
     return ""
 
@@ -174,16 +205,21 @@ def _model(
     norms: Norms,
     nodes: Nodes,
     variation: Callable[[float], float] | None,
-    members: np.ndarray | None,
+    members: list[np.ndarray] | None,
 ) -> _Model:
     """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
     if variation is not None and not data.center.bounded:
         moving = _with_variation(data, variation)
-    if moving is not None and moving.shape is not None and moving.scale.function is None:
-        parts = 1 if moving.shape.sharp_gaps or members is not None else PARTS
-        intervals = smooth_intervals(moving, nodes.t, parts)
-        return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)), members)
+    if moving is not None and moving.offsets is not None:
+        intervals = smooth_intervals(moving, nodes.t)
+        return _Model(moving, intervals, [(ONE, [moving.shape])], np.zeros(len(intervals.step)))
+    summands = moving.summands if moving is not None else ()
+    if summands and all(scale.function is None for scale, _ in summands):
+        sharp = all(S.sharp_gaps for _, S in summands)
+        intervals = smooth_intervals(moving, nodes.t, 1 if sharp or members is not None else PARTS)
+        sets = [(scale, [S]) for scale, S in summands]
+        return _Model(moving, intervals, sets, np.zeros(len(intervals.step)), members)
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
@@ -192,7 +228,7 @@ def _model(
     shapes = [process.C.at(t) for t in middles.tolist()]
     halves = np.sort(np.concatenate([nodes.t[:1], middles, intervals.end]))
     distance = increments(variation, halves).reshape(-1, 2).max(axis=1)
-    return model._replace(intervals=intervals, shapes=shapes, distance=distance)
+    return model._replace(intervals=intervals, summands=[(ONE, shapes)], distance=distance)
 
 
 def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
@@ -229,19 +265,19 @@ def _bounds(
         part = slice(start, start + many)
         i, begin, end = (x[part] for x in model.intervals)
         # the intervals of the first curve, then those of the second
-        functions: list[Any] = [
+        center, offsets, *scales = [
             f and Interpolated(*(np.concatenate([x] * count) for x in interpolate(f, begin, end)))
-            for f in (moving.center, moving.scale, moving.offsets)
+            for f in (moving.center, moving.offsets, *(scale for scale, _ in model.summands))
         ]
         some = _Model(
             moving,
             Intervals(*(np.tile(x, count) for x in (i, begin, end))),
-            model.shapes if len(model.shapes) == 1 else model.shapes[part] * count,
+            [(r, S if len(S) == 1 else S[part] * count) for r, S in model.summands],
             np.tile(model.distance[part], count),
             model.members,
         )
         slopes = np.concatenate(curves[:, i])
-        each = _on_intervals(process, norms, nodes, slopes, some, terms, *functions)
+        each = _on_intervals(process, norms, nodes, slopes, some, terms, center, offsets, scales)
         parts.append([x.reshape(count, len(i), *x.shape[1:]) for x in each])
     of_all = (np.concatenate(some, axis=1) for some in zip(*parts, strict=True))
     gaps, squares, turning, size, begin, end, error = of_all
@@ -262,9 +298,9 @@ def _on_intervals(
     slopes: np.ndarray,
     model: _Model,
     terms: list[np.ndarray],
-    center: Interpolated,
-    scale: Interpolated,
-    offsets: Interpolated | None,
+    center: Any,
+    offsets: Any,
+    scales: list[Any],
 ) -> Residuals:
     """Those of curves on intervals, each with its slopes of shape (3, dim)."""
     i, a, b = model.intervals
@@ -277,21 +313,28 @@ def _on_intervals(
     aim = force - norms.coercivity * velocity
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
     moved = error = error_B = turning = np.zeros(len(a))
-    if not model.shapes:
+    if not model.summands:
         w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif offsets is None:
-        s = None
-        if model.members is not None:
-            first, last = model.members[np.maximum(i - 1, 0), None], model.members[i, None]
-            s = first + (begin + share * THIRDS)[:, :, None] * (last - first)
-        # a curve that is moved has no bound of int |r'|
-        s, w, gaps, moved = _within_shape(norms, model, s, scale, aim, directions, ~stiff)
-        error, error_B, turning = _interpolation_errors(
-            norms, model.motion, terms, s, center, scale
-        )
+        w, gaps, points = np.zeros_like(force), moved, model.members or [None] * len(scales)
+        error, error_B, turning = _of_terms(center, terms)
+        for (f, shapes), scale, of_S in zip(model.summands, scales, points, strict=True):
+            s = None
+            if of_S is not None:
+                first, last = of_S[np.maximum(i - 1, 0), None], of_S[i, None]
+                s = first + (begin + share * THIRDS)[:, :, None] * (last - first)
+            # a curve that is moved has no bound of int |r'|
+            s, of_w, gap, distance = _within_shape(
+                norms, f, shapes, s, scale, model.distance, aim, directions, ~stiff
+            )
+            w, gaps, moved = w + of_w, gaps + gap, moved + distance
+            if scale.error.any():
+                more = _of_scale(norms, f, s, scale)
+                error, error_B, turning = error + more[0], error_B + more[1], turning + more[2]
         error = error + moved / math.sqrt(norms.beta)
     else:
-        w, gaps = _within_rows(model, aim, directions, offsets)
+        ((_, (S,)),), f = model.summands, model.motion.offsets
+        w, gaps = _within_rows(S, f, aim, directions, offsets)
     r = TO_LOBATTO @ (force - w)
     squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
@@ -310,9 +353,11 @@ def _on_intervals(
 
 def _within_shape(
     norms: Norms,
-    model: _Model,
+    f: TimeFunction,
+    shapes: list[ConvexSet],
     s: np.ndarray | None,
     scale: Interpolated,
+    distance: np.ndarray,
     aim: np.ndarray,
     directions: np.ndarray,
     may_move: np.ndarray,
@@ -324,9 +369,9 @@ def _within_shape(
     sigma(S, -v') + <v', sum_k b_k s_k>.
     """
     sizes = TO_BERNSTEIN @ scale.values
-    error = scale.error @ np.abs([f for _, f in model.motion.scale.terms])
+    error = scale.error @ np.abs([size for _, size in f.terms])
     if s is None:
-        s = _curve_in_shape(model, TO_BERNSTEIN @ aim, sizes)
+        s = _curve_in_shape(shapes, TO_BERNSTEIN @ aim, sizes)
     least, most = sizes.min(axis=1), sizes.max(axis=1)
     vanishing = (least <= error).any(axis=1)
     s[vanishing] = s[vanishing].mean(axis=1, keepdims=True)
@@ -334,28 +379,25 @@ def _within_shape(
     most += np.divide(most * error, least, out=error, where=least > error)
     largest = most.max(axis=1)
     ratios = np.where(may_move, largest**2 / norms.beta, np.inf)
-    gaps, distance = model.each(_gaps, directions * most[:, None], s, ratios).T
+    gaps, moved = _each(shapes, _gaps, directions * most[:, None], s, ratios).T
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
-    gaps, moved = gaps + 2 * speed * model.distance, largest * distance + model.distance
+    gaps, moved = gaps + 2 * speed * distance, largest * moved + distance
     return s, basis(3, GAUSS) @ (sizes * s), gaps, moved
 
 
 def _within_rows(
-    model: _Model, aim: np.ndarray, directions: np.ndarray, h: Interpolated
+    S: ConvexSet, f: TimeFunction, aim: np.ndarray, directions: np.ndarray, h: Interpolated
 ) -> tuple[np.ndarray, np.ndarray]:
     """A curve w in C(t) = { w : G w <= h(t) } at GAUSS, and the mean of a bound of its G.
 
     Where each Bernstein coefficient of w satisfies the rows for that of h's polynomial less its
     error, w is in C(t). By weak duality sigma(C(t), -v') <= <h(t), y> for y >= 0, G^T y = -v'.
     """
-    S, f = model.shapes[0], model.motion.offsets
     if isinstance(S, Aligned):  # w = 0 beside its unknowns
         w, few = np.zeros_like(aim), S.unknowns
-        model = model._replace(shapes=list(S.parts))
-        w[..., few], gaps = _within_rows(model, aim[..., few], directions[..., few], h)
+        w[..., few], gaps = _within_rows(S.parts[0], f, aim[..., few], directions[..., few], h)
         return w, gaps
     assert isinstance(S, Polyhedron)
-    assert f is not None
     error = h.error @ np.abs([shape for _, shape in f.terms] or np.ones((1, f.dim)))
     limits = TO_BERNSTEIN @ h.values - error[:, None]
     rows = S.project_rows((TO_BERNSTEIN @ aim).reshape(-1, S.dim), limits.reshape(-1, f.dim))
@@ -379,40 +421,36 @@ def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[np.ndarray]:
     return [norms.dual(vectors), norms.dual_B(vectors)]
 
 
-def _interpolation_errors(
-    norms: Norms,
-    moving: Motion,
-    terms: list[np.ndarray],
-    s: np.ndarray,
-    center: Interpolated,
-    scale: Interpolated,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What interpolated histories add to |r|, in both dual norms, and to int |r'| in that of B."""
-    both = []
-    for norm, sizes in zip((norms.dual, norms.dual_B), terms, strict=True):
-        error, turning = (
-            np.where(e > 0, e * sizes, 0.0).sum(axis=1) for e in (center.error, center.slope_error)
-        )
-        if scale.error.any():
-            each = np.array([norm(f * s).max(axis=1) for _, f in moving.scale.terms]).T
-            error = error + (scale.error * each).sum(axis=1)
-            # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
-            turning = turning + ((scale.slope_error + 6 * scale.error) * each).sum(axis=1)
-        both.append((error, turning))
-    (error, _), (error_B, turning) = both
-    return error, error_B, turning
+def _of_terms(center: Interpolated, terms: list[np.ndarray]) -> list[np.ndarray]:
+    """What an interpolated center adds to |r|, in both dual norms, and to int |r'| in that of B."""
+    pairs = (center.error, terms[0]), (center.error, terms[1]), (center.slope_error, terms[1])
+    return [np.where(e > 0, e * sizes, 0.0).sum(axis=1) for e, sizes in pairs]
 
 
-def _curve_in_shape(model: _Model, force: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _of_scale(
+    norms: Norms, f: TimeFunction, s: np.ndarray, scale: Interpolated
+) -> list[np.ndarray]:
+    """What an interpolated scale of a curve s adds, likewise."""
+    each, each_B = (
+        np.array([norm(size * s).max(axis=1) for _, size in f.terms]).T
+        for norm in (norms.dual, norms.dual_B)
+    )
+    # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
+    varies = scale.slope_error + 6 * scale.error
+    pairs = (scale.error, each), (scale.error, each_B), (varies, each_B)
+    return [(e * sizes).sum(axis=1) for e, sizes in pairs]
+
+
+def _curve_in_shape(shapes: list[ConvexSet], force: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Bernstein coefficients of a curve in S, shape (m, 4, dim).
 
     Those of the force / scale, projected on S: S is convex, so the curve stays in it.
     """
     size = np.broadcast_to(sizes, force.shape)
     aim = np.divide(force, size, out=np.zeros_like(force), where=size > 0)
-    S, ends = model.shapes[0], aim[:, [0, -1]]
-    if (S.exact and S.sharp_gaps) or len(model.shapes) > 1:
-        return model.each(_projections, aim)
+    S, ends = shapes[0], aim[:, [0, -1]]
+    if (S.exact and S.sharp_gaps) or len(shapes) > 1:
+        return _each(shapes, _projections, aim)
     # projections one by one take most of the time, and chords lose little; where the force is in S
     # the curve is the force itself
     line = _projections(S, ends)

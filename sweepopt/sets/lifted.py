@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from functools import cached_property
+from collections.abc import Sequence
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -371,6 +372,17 @@ class Sum(Lifted):
     def polar(self) -> ConvexSet:
         both: ConvexSet = self.operands[0].polar() & self.operands[1].polar()
         return both
+
+
+def split(
+    sets: Sequence[ConvexSet], v: np.ndarray, start: Start | None
+) -> tuple[list[np.ndarray], Start]:
+    """Points of sets, with a sum next to v in the sum of the sets, from a start; the next start."""
+    forms = [C.form() for C in sets]
+    near = Projector(reduce(Form.added, forms))(v, start)
+    ends = np.cumsum([form.E.shape[1] for form in forms])[:-1]
+    parts = zip(forms, np.split(near.start.s, ends), strict=True)
+    return [form.E @ s for form, s in parts], near.start
 
 
 class Intersection(Lifted):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,24 @@ from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
 from sweepopt.sets.base import ConvexSet, Operators
 from sweepopt.sets.shapes import Point
+
+
+class Summands(NamedTuple):
+    """C(t) = sum_k phi_k(t) f_k + S + sum_i r_i(t) T_i, as data.
+
+    Attributes
+    ----------
+    center : tuple of (callable, ndarray)
+        phi_k, f_k.
+    still : ConvexSet
+        S.
+    scaled : tuple of (callable, ConvexSet)
+        r_i, T_i.
+    """
+
+    center: tuple[Any, ...]
+    still: ConvexSet
+    scaled: tuple[Any, ...]
 
 
 class MovingSet(Operators):
@@ -51,6 +69,7 @@ class MovingSet(Operators):
     """
 
     operands: tuple[MovingSet, ...] = ()  # what an operation made it of
+    summands: Summands | None = None  # where that is linear, and they move by data
     histories: tuple[Any, ...] = ()
 
     def __init__(

@@ -43,6 +43,7 @@ from sweepopt.sets.moving import (
     MovingOffsets,
     MovingSet,
     StateDependent,
+    Summands,
 )
 from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
 from sweepopt.sets.polytope import Polytope
@@ -55,8 +56,8 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
     """The operation, which for sets that move is done at every time.
 
     Points in their place tell at once whether the operands fit, and the dim of the result. Where
-    all sets move by data so does the result, if the operation is linear in translations, or if
-    its result has rows, which do not move.
+    all sets move by data so does the result, if the operation is linear, or if its result has
+    rows, which do not move.
     """
 
     @wraps(operation)
@@ -65,8 +66,9 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
             return operation(*operands)
         if any(isinstance(C, StateDependent) for C in operands):
             raise InputError(WITHOUT_STATE)
-        translated = _translated(operation, operands) if linear else None
-        by_data = translated or _with_rows(operation, operands)
+        summands = _summands(operation, operands) if linear else None
+        by_data = _translated(summands) if summands else None
+        by_data = by_data or _with_rows(operation, operands)
         if by_data is not None:
             return by_data
         fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
@@ -74,6 +76,7 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
         at = partial(_operation_at, on_all, fixed)
         made = MovingSet(at, operation(*points).dim)
         made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
+        made.summands = summands
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
 
     return on_all
@@ -85,28 +88,53 @@ def _operation_at(operation: Callable[..., Any], operands: list[Any], t: float) 
     return made
 
 
-def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Moving | None:
-    """op(c(t) + r(t) S) = L c(t) + r(t) op(S), with L c from points; r for one set alone.
+def _summands(operation: Callable[..., Any], operands: Sequence[Any]) -> Summands | None:
+    """What a linear operation makes of sums: op(C_1, C_2, ...) = op(C_1, 0, ...) + op(0, C_2, ...).
 
     None where another thing moves.
     """
-    shapes, terms, scale = list(operands), [], None
-    alone = sum(isinstance(C, Operators) for C in operands) == 1
-    points = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
-    origin = operation(*points).anchor  # not 0 where a vector is added
+    still, terms, scaled = list(operands), [], []
+    zeros = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
     for k, C in enumerate(operands):
-        if not isinstance(C, MovingSet):
-            continue
-        if not (type(C) is Moving and _translates_by_data(C) and (C.scale is None or alone)):
-            return None
-        shapes[k], scale = C.shape, C.scale
-        for phi, f in C.center.terms if C.center else ():
-            image = operation(*points[:k], Point(f), *points[k + 1 :])
-            terms.append((phi, image.anchor - origin))
-    made = operation(*shapes)
-    if scale is None:
-        return Moving(made, Separable(terms) if terms else None)
-    return Moving(made - origin, Separable([(Constant(), origin), *terms]), scale)
+        if isinstance(C, MovingSet):
+            own = _as_sum(C)
+            if own is None:
+                return None
+            of = partial(_alone, operation, zeros, k)
+            still[k] = own.still
+            terms += [(phi, of(Point(f)).anchor) for phi, f in own.center]
+            scaled += [(r, of(S)) for r, S in own.scaled]
+    return Summands(tuple(terms), operation(*still), tuple(scaled))
+
+
+def _alone(operation: Callable[..., Any], zeros: list[Any], k: int, S: ConvexSet) -> Any:
+    """op(0, ..., S, ..., 0), without the vectors that it adds; of a product on few unknowns."""
+    made, origin = operation(*zeros[:k], S, *zeros[k + 1 :]), operation(*zeros).anchor
+    if type(made) is Aligned and made.unknowns is None:
+        before = sum(one.dim for one in zeros[:k])
+        return Aligned(S, unknowns=np.arange(before, before + S.dim), dim=made.dim)
+    return made - origin if origin.any() else made
+
+
+def _as_sum(C: MovingSet) -> Summands | None:
+    if type(C) is not Moving:
+        return C.summands
+    if not _translates_by_data(C):
+        return None
+    center, zero = C.center.terms if C.center else (), Point(np.zeros(C.dim))
+    if C.scale is None:
+        return Summands(center, C.shape, ())
+    return Summands(center, zero, ((C.scale, C.shape),))
+
+
+def _translated(of: Summands) -> Moving | None:
+    """c(t) + r(t) S, where there is one set."""
+    if not of.scaled:
+        return Moving(of.still, Separable(of.center) if of.center else None)
+    if len(of.scaled) > 1 or not isinstance(of.still, Point):
+        return None
+    ((r, S),) = of.scaled
+    return Moving(S, Separable([(Constant(), of.still.anchor), *of.center]), r)
 
 
 def _with_rows(operation: Callable[..., Any], operands: Sequence[Any]) -> MovingOffsets | None:
