@@ -79,7 +79,8 @@ class Table(Brief, History):
             k = int(late[0]) + 1
             raise InputError(
                 f"{path}, row {rows[k]}: time {times[k]:g} does not come after "
-                f"{times[k - 1]:g}; times must increase strictly"
+                f"{times[k - 1]:g}; sort the rows, and let a jump take some time, such as "
+                f"{1e-6 * np.ptp(times):.1g}"
             )
         with at_path(f"{path}: "):
             return cls(times, factor * values)
@@ -198,6 +199,7 @@ def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array,
         k = int(late[0])
         raise InputError(
             f"{name} must increase strictly, but entry {k + 1} ({t[k + 1]:g}) follows "
-            f"entry {k} ({t[k]:g}); sort the table and keep one value a time"
+            f"entry {k} ({t[k]:g}); sort the table and keep one value a time, let a jump "
+            f"take some time, such as {1e-6 * np.ptp(t):.1g}"
         )
     return t, phi
