@@ -242,6 +242,11 @@ def test_constraints_tell_their_price_and_what_to_use_instead():
     assert "as these constraints are linear: so.Polyhedron" in repr(linear)
     curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
     assert "so.Ball" in repr(curved)
+    load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
+    process = so.EvolutionVI(np.eye(2), None, load=load, dissipation=curved, u0=[0.0, 0.0])
+    sol = run(process, steps=1)
+    assert "certificates: C(t) proves no answer" in repr(sol.plan)
+    assert repr(sol).endswith("worst certificate   none")
 
 
 class Disc(so.ConvexSet):

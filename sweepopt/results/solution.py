@@ -150,7 +150,8 @@ class Solution(Displayed):
         yield "steps", f"{len(stats)}, {len(self.steps)} of them kept"
         yield "scheme", self.plan.scheme.name
         yield "solver", ", ".join(names[i] for i in np.unique(stats["solver"]))
-        yield "worst certificate", f"{stats['relative'].max(initial=0.0):.1e} (relative)"
+        worst = stats["relative"].max(initial=0.0)
+        yield "worst certificate", "none" if np.isnan(worst) else f"{worst:.1e} (relative)"
         if (bound := vars(self).get("_bound")) is not None:
             yield "error bound", repr(bound)
 
