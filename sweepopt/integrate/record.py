@@ -42,7 +42,8 @@ class States(NamedTuple):
     u: Callable[[Index], np.ndarray]
     velocity: Callable[[Index], np.ndarray]
 
-    __repr__ = by_parts
+    def __repr__(self) -> str:
+        return by_parts(self)
 
 
 COLUMNS = ["t", "seconds", "iterations", "attempts", "certificate", "relative", "solver"]
@@ -56,7 +57,8 @@ class Statistics(NamedTuple):
     rows: np.ndarray
     solvers: tuple[str, ...]
 
-    __repr__ = by_parts
+    def __repr__(self) -> str:
+        return by_parts(self)
 
     def table(self) -> np.ndarray:
         """A structured array with full numbers and the names themselves, shape (n,)."""
