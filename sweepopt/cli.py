@@ -115,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_changes(effects)
     effects.add_argument("--steps", type=int, default=5, help="of each run; the median is shown")
 
-    study = commands.add_parser("study", help="what accuracy costs, cell by cell; resumable")
+    study = commands.add_parser("study", help="what accuracy costs, run by run; resumable")
     study.set_defaults(command=_study)
     study.add_argument("study", metavar="STUDY", help="a TOML file, accuracy, hard, or stiff")
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
