@@ -149,6 +149,26 @@ def test_the_fields_of_a_users_effect_have_the_types_that_they_are_annotated_wit
             scene(table + wrong, HELD)
 
 
+def test_what_a_users_effect_raises_names_its_table(monkeypatch):
+    @dataclass
+    class Weak(Typed):
+        def __post_init__(self):
+            raise ArithmeticError("too weak")
+
+    monkeypatch.setitem(so.fem.EFFECTS, "weak", Weak)
+    with pytest.raises(ArithmeticError, match="too weak") as caught:
+        scene(VISCOUS + "[effects.weak]\nat = 1.0\n", HELD)
+    assert caught.value.__notes__ == ["This was raised for effects.weak."]
+
+
+def test_a_dense_matrix_of_all_degrees_of_freedom_is_restricted_as_a_sparse_one():
+    dense, sparse = (
+        contributed(lambda body, form=form: so.fem.Contribution(B=body.restrict(form(9))))
+        for form in (np.eye, sp.eye_array)
+    )
+    assert (dense.problem.B != sparse.problem.B).nnz == 0
+
+
 def test_a_status_is_compared_with_its_name():
     status = run().status
     assert status == so.Status.SUCCESS == "success"
