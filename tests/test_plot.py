@@ -342,6 +342,15 @@ def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused(so
         scene.plot(solution, "flow")
 
 
+def test_arrows_of_slip_say_how_fast_the_longest_one_is(solid):
+    scene, solution = solid
+    (key,) = scene.plot(solution, "arrows").legends
+    tangential = scene.velocity(solution)[:, scene.contact.node][..., :2]  # front and back are z
+    speed = np.linalg.norm(tangential, axis=-1)
+    (words,) = (text.get_text() for text in key.texts)
+    assert words == f"slip velocity, the longest arrow {speed.max():.2g}"
+
+
 def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):
     pytest.importorskip("pyvista")
     if snapshots.off_screen() is None:
