@@ -26,6 +26,7 @@ from sweepopt.errors import (
     SweepoptError,
     UnstableStepError,
     brought_by,
+    suggestion,
 )
 from sweepopt.integrate import SolveOptions, schemes
 from sweepopt.io import find_scene, folder_at, list_scenes, read_toml
@@ -56,7 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Those of the command line by default.
     """
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        word, known = unknown[0], [f"--{name}".replace("_", "-") for name in vars(options)]
+        hint = "; put it after the command" if word in known else suggestion(word, known)
+        parser.error(f"unrecognized argument {word}{hint}")
     try:
         with warnings.catch_warnings():  # as one line without a source file
             warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
@@ -109,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_changes(effects)
     effects.add_argument("--steps", type=int, default=5, help="of each run; the median is shown")
 
-    study = commands.add_parser("study", help="what accuracy costs, cell by cell; resumable")
+    study = commands.add_parser("study", help="what accuracy costs, run by run; resumable")
     study.set_defaults(command=_study)
     study.add_argument("study", metavar="STUDY", help="a TOML file, accuracy, hard, or stiff")
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")

@@ -31,7 +31,7 @@ def brief(value: Any) -> str:
     if isroutine(value) or (callable(value) and " at 0x" in repr(value)):
         return "a function"
     if hasattr(value, "nnz"):
-        return f"sparse {value.shape}"
+        return f"{'sparse' if value.nnz else '0, sparse'} {value.shape}"
     if not isinstance(value, np.ndarray):
         words = " ".join(repr(value).split())
         return words if len(words) < 100 else f"{words[:95]} ..."

@@ -71,6 +71,7 @@ HOPELESS = 100 * STEPS  # by the order of the scheme, from the first grid, which
     T="; give t_end",
     dt="; give steps=round(t_end / dt)",
     h="; give steps=round(t_end / h)",
+    t0="; the run starts at t = 0, or at the first time of steps",
     t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
     t_eval="; give the times as save, they must be among those of steps",
     method="; give scheme",

@@ -75,6 +75,12 @@ class Status(Enum):
     STOPPED = "The callback stopped the run; all steps computed until then are returned."
     INTERRUPTED = "The run was interrupted; all steps computed until then are returned."
 
+    def __eq__(self, other: object) -> bool:
+        return self is other or other == self.name.lower()
+
+    def __hash__(self) -> int:
+        return hash(self.name.lower())
+
 
 class SweepoptError(Exception):
     """Base of every error the library raises on purpose."""

@@ -169,7 +169,7 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             hint = f"; did you mean {cases[0]}?" if cases else ""
             # of a table alone: a scene of a stranger may name any file
             if header and not cases and Path(path).suffix == ".csv":
-                named = any(map(str.isidentifier, header))
+                named = any(one[:1].isalpha() for one in header)
                 hint = f": {', '.join(header):.200}"
                 hint += "" if named else "; write a line of names above"
             if len(header) == 1 and (mark := re.search("[;\t]", header[0])):

@@ -6,8 +6,10 @@ studies are drawn without pyplot, so that no window system and no global state i
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -261,3 +263,15 @@ def draw_histories(
     if stuck.any():
         ax.plot([], [], color=STICK, label="sticks", **wide)
     ax.grid(alpha=0.3)
+
+
+class _Called(ModuleType):
+    """This module, called by who looks for a function."""
+
+    def __call__(self, *_: Any, **__: Any) -> None:
+        raise InputError(
+            "plot is a module; a run is drawn by sol.plot(), a body by scene.plot(sol)"
+        )
+
+
+sys.modules[__name__].__class__ = _Called

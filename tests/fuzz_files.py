@@ -164,7 +164,7 @@ def ask_study(folder, name, file):
         read = partial(option, hard_programs, "hard.")
         from_table("hard.", hard_programs, data.get("hard"), read)
     else:
-        assert read_study(path).cells()
+        assert read_study(path).runs()
 
 
 # ---- tables, meshes ---------------------------------------------------------------------------

@@ -26,7 +26,7 @@ def study_table():
     ]
     exact = cell("block", "midpoint", "clarabel", 4) | {"scheme": "exact", "error": 0.0}
     rows = [*cells, exact | {"bound": nan}]
-    return pd.DataFrame(rows).assign(cell=[f"{k:08x}" for k in range(len(rows))])
+    return pd.DataFrame(rows).assign(run=[f"{k:08x}" for k in range(len(rows))])
 
 
 def cell(problem, scheme, solver, steps):

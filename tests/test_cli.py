@@ -280,6 +280,17 @@ def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
     assert shown.count("\n") == 1
 
 
+@pytest.mark.parametrize("arguments, words", [
+    (["run", "pipe", "--bounds"], "unrecognized argument --bounds; did you mean --bound?"),
+    (["--bound", "run", "pipe"], "unrecognized argument --bound; put it after the command"),
+    (["run", "pipe", "tube"], "unrecognized argument tube"),
+])  # fmt: skip
+def test_an_option_that_is_not_known_is_named_with_the_nearest_one(arguments, words, capsys):
+    with pytest.raises(SystemExit):
+        cli.main(arguments)
+    assert capsys.readouterr().err.endswith(f"error: {words}\n")
+
+
 def test_an_unstable_step_is_refused_with_advice_that_the_command_line_can_follow(scene, capsys):
     scene.write_text(SCENE + "[effects.elasticity]\nkappa = 90.0\n")
     assert run("--scheme", "catching-up") == 2

@@ -118,6 +118,70 @@ def test_an_effect_that_is_registered_as_an_object_is_named(monkeypatch):
         scene("[effects.given]\n", HELD)
 
 
+@dataclass
+class Typed:
+    """An effect of a user's own whose fields are annotated with plain types."""
+
+    at: float
+    layers: int = 1
+    side: "str" = "left"
+    closed: bool = False
+    share: float | None = None
+
+    def contribute(self, body):
+        return so.fem.Contribution()
+
+
+def test_the_fields_of_a_users_effect_have_the_types_that_they_are_annotated_with(monkeypatch):
+    monkeypatch.setitem(so.fem.EFFECTS, "typed", Typed)
+    right = "at = 1\nlayers = 2\nside = 'top'\nclosed = true\nshare = 0.5\n"
+    table = VISCOUS + "[effects.typed]\n"
+    assert Typed(1, 2, "top", True, 0.5) in scene(table + right, HELD).effects
+    for wrong, message in (
+        ("at = '1.0'", r"at must be a number without quotes, got '1\.0'"),
+        ("at = true", "at must be a number without quotes, got True"),
+        ("at = 1.0\nlayers = 1.5", r"layers must be a whole number without quotes, got 1\.5"),
+        ("at = 1.0\nside = 3", "side must be text in quotes, got 3"),
+        ("at = 1.0\nclosed = 1", "closed must be true or false, got 1"),
+        ("at = 1.0\nshare = 'all'", "share must be a number without quotes, got 'all'"),
+    ):
+        with pytest.raises(so.InputError, match=rf"^effects\.typed\.{message}$"):
+            scene(table + wrong, HELD)
+
+
+def test_what_a_users_effect_raises_names_its_table(monkeypatch):
+    @dataclass
+    class Weak(Typed):
+        def __post_init__(self):
+            raise ArithmeticError("too weak")
+
+    monkeypatch.setitem(so.fem.EFFECTS, "weak", Weak)
+    with pytest.raises(ArithmeticError, match="too weak") as caught:
+        scene(VISCOUS + "[effects.weak]\nat = 1.0\n", HELD)
+    assert caught.value.__notes__ == ["This was raised for effects.weak."]
+
+
+def test_a_dense_matrix_of_all_degrees_of_freedom_is_restricted_as_a_sparse_one():
+    dense, sparse = (
+        contributed(lambda body, form=form: so.fem.Contribution(B=body.restrict(form(9))))
+        for form in (np.eye, sp.eye_array)
+    )
+    assert (dense.problem.B != sparse.problem.B).nnz == 0
+
+
+def test_a_status_is_compared_with_its_name():
+    status = run().status
+    assert status == so.Status.SUCCESS == "success"
+    assert status != "uncertified"
+    assert {status: 1}["success"]
+
+
+def test_a_table_with_one_column_is_a_load_of_one_unknown():
+    rows, table = so.VectorTable([0, 1], [[0.0], [3.0]]), so.Table([0, 1], [0.0, 3.0])
+    many, one = (run(pulled(C=so.Moving(BOX, center=center))) for center in (rows, table))
+    np.testing.assert_allclose(many.u, one.u, rtol=1e-12, atol=1e-15)
+
+
 def test_an_effect_may_be_a_named_tuple(monkeypatch):
     class Spring(NamedTuple):
         k: float
@@ -198,6 +262,11 @@ def test_constraints_tell_their_price_and_what_to_use_instead():
     assert "as these constraints are linear: so.Polyhedron" in repr(linear)
     curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
     assert "so.Ball" in repr(curved)
+    load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
+    process = so.EvolutionVI(np.eye(2), None, load=load, dissipation=curved, u0=[0.0, 0.0])
+    sol = run(process, steps=1)
+    assert "certificates: C(t) proves no answer" in repr(sol.plan)
+    assert repr(sol).endswith("worst certificate   none")
 
 
 class Disc(so.ConvexSet):

@@ -126,6 +126,19 @@ def test_contact_histories_are_those_of_the_solution(run, tmp_path):
     assert slip.total[nodes].min() == slip.total.min()
 
 
+@pytest.mark.parametrize("ends, x, label", [
+    ((0.0, 1.2), [0.0, 0.2, 1.0], ["0 m", "0.2 m", "1 m"]),
+    ((-0.5, 0.02), [-0.5, -0.005, 0.01], ["\N{MINUS SIGN}500 mm", "\N{MINUS SIGN}5 mm", "10 mm"]),
+    ((0.0, 2000.0), [-1e-13, 500.0], ["0 km", "0.5 km"]),
+])  # fmt: skip
+def test_the_ticks_of_an_axis_have_one_unit(ends, x, label):
+    report, panel = Mock(), plot.new_figure((4.0, 3.0)).subplots()
+    report.units = {"length": "m"}
+    snapshots.name_axis(report, panel.yaxis, "u", "length")
+    panel.set_ylim(*ends)
+    assert [panel.yaxis.get_major_formatter()(one) for one in x] == label
+
+
 def test_several_boundaries_share_one_picture(tmp_path):
     friction = Friction(["bottom", "left"], g={"bottom": 0.1, "left": 0.3})
     effects = [Viscosity(1.0), friction, Traction("right", so.Sine(1.0, period=2.0))]
@@ -327,6 +340,15 @@ def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused(so
     assert values.size == mesh.boundary_facets().size
     with pytest.raises(so.InputError, match="picture: flow needs a section with a yield stress"):
         scene.plot(solution, "flow")
+
+
+def test_arrows_of_slip_say_how_fast_the_longest_one_is(solid):
+    scene, solution = solid
+    (key,) = scene.plot(solution, "arrows").legends
+    tangential = scene.velocity(solution)[:, scene.contact.node][..., :2]  # front and back are z
+    speed = np.linalg.norm(tangential, axis=-1)
+    (words,) = (text.get_text() for text in key.texts)
+    assert words == f"slip velocity, the longest arrow {speed.max():.2g}"
 
 
 def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):

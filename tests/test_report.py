@@ -158,7 +158,7 @@ def test_the_heading_names_machine_and_versions(browser):
     assert browser.driver.title == TITLE == shown.splitlines()[0]
     for words in ("A processor, 2 cores, Linux", "sweepopt 0.1.0", "clarabel 0.11.1"):
         assert words in shown.splitlines()[1]
-    assert "49 cells, 5 failed" in shown
+    assert "49 runs, 5 failed" in shown
     assert browser.driver.execute_script("return document.documentElement.scrollWidth") <= 1400
 
 
@@ -201,14 +201,14 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
     )
     assert main(["study", str(path), "--out", str(out)]) == 0
     shown = capsys.readouterr()
-    assert "2 cells, 0 of them finished before" in shown.err
+    assert "2 runs, 0 of them finished before" in shown.err
     assert "the fastest way to each relative error" in shown.out
     assert shown.out.endswith(
         f"{out}: table.csv, diagram.png, hard.csv, trajectories.csv, stiff.csv, report.html\n"
     )
     assert "bound_over_error" in shown.out
     page = (out / "report.html").read_text("utf-8")
-    for words in ("<title>Both</title>", "2 cells, 0 failed", "Stiff bodies", "1 runs, 0 wrong"):
+    for words in ("<title>Both</title>", "2 runs, 0 failed", "Stiff bodies", "1 runs, 0 wrong"):
         assert words in page
     assert page.count("2 runs, 0 wrong") == 2
     assert list(pd.read_csv(out / "table.csv").problem) == ["S01", "ring"]
@@ -224,7 +224,7 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
 
     monkeypatch.setattr("sweepopt.study.hard.velocities._runs", interrupted)
     assert main(["study", str(path), "--out", str(out)]) != 0
-    assert "2 cells, 2 of them finished before" in capsys.readouterr().err
+    assert "2 runs, 2 of them finished before" in capsys.readouterr().err
     kept = pd.read_csv(out / "hard.csv", keep_default_na=False)
     assert kept.verdict.tolist() == [row.verdict for row in HARD]
     assert list(kept.columns) == list(HardRow._fields)

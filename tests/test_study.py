@@ -115,7 +115,7 @@ def table(file, killed):
 
 def test_a_study_killed_at_half_goes_on_where_it_was(file, killed, table):
     assert list(table.columns) == list(CellRow._fields)
-    assert table.cell.is_unique
+    assert table.run.is_unique
     assert (table.success == (table.status == "SUCCESS")).all()
 
     study, nobody = read_study(file), Mock(Executor)  # finished: nothing is computed
@@ -218,7 +218,7 @@ def test_what_is_not_whole_is_computed_again(small, tmp_path):
     (tmp_path / "rows.jsonl").write_bytes(b"\n".join(damaged))
     said = []
     again = run(SMALL, tmp_path, progress=said.append)
-    assert said[0] == "8 cells, 3 of them finished before"
+    assert said[0] == "8 runs, 3 of them finished before"
     same(again, whole)
     assert finished(tmp_path)[5:9] == [*lines[4:-1], killed]
 
@@ -325,7 +325,7 @@ def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdown
     with dask_executor(dask) if dask else processes(2) as workers:
         table = run(few, tmp_path, executor=deadly(workers))
     dead = table.status == "BrokenProcessPool"
-    assert table.cell[dead].str.startswith("M16 midpoint auto 16").tolist() == [True]
+    assert table.run[dead].str.startswith("M16 midpoint auto 16").tolist() == [True]
     assert table.message[dead].str.contains("terminated abruptly").all()
     whole = read_table(SMALL, small)
     chosen = (whole.problem == "M16") & (whole.scheme == "midpoint")
@@ -361,7 +361,7 @@ def test_the_studies_of_the_library_can_be_run_and_are_no_problems():
     folder = library.find_study("accuracy").parent
     assert library.find_study("hard").parent.name == "hard"
     for path in folder.glob("*.toml"):
-        assert len(read_study(library.find_study(path.stem)).cells()) > 0
+        assert len(read_study(library.find_study(path.stem)).runs()) > 0
         assert path.stem not in library.list_scenes()
 
 
@@ -415,5 +415,5 @@ def test_the_advice_is_the_fastest_cell_that_is_accurate_enough():
     assert ["P", "best", "auto", "10", "1e-06", "0", "0.005", "2e+03", "0.01"] in [
         line.split() for line in shown.splitlines()
     ]
-    assert "5 cells, 1 failed" in shown
+    assert "5 runs, 1 failed" in shown
     assert "1  succeeded, but no reference is good enough for an error" in shown

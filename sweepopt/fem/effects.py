@@ -441,6 +441,7 @@ class Friction(Record):
     axes: Sequence[float] | None = None
     slip: SlipLaw | None = None
     data = Coefficient("g", 0.0, finite=False), Coefficient("p", 0.0)
+    meaning = Record.meaning | {"mu": "; give g, the largest traction, or mu as g and a pressure p"}
 
     def __post_init__(self) -> None:
         super().__post_init__()

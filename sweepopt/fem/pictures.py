@@ -124,7 +124,7 @@ def animated(scene: Scene, name: str = "") -> str:
     InputError
         If there is none, or the one that is named does not fit.
     """
-    names = [choice("name", name, FIELDS)] if name else [*scene.pictures, *FIELDS]
+    names = [choice("picture", name, FIELDS)] if name else [*scene.pictures, *FIELDS]
     fitting = [one for one in names if one in FIELDS and not refusal(scene, one)]
     if not fitting:
         raise InputError(f"an animation of {refusal(scene, name or 'displacement')}")

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from inspect import signature
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,7 +48,13 @@ EFFECTS: dict[str, type] = {
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""
-
+PLAIN: dict[str, tuple[type, str]] = {
+    "float": (Real, "a number without quotes"),
+    "int": (Integral, "a whole number without quotes"),
+    "str": (str, "text in quotes"),
+    "bool": (bool, "true or false"),
+}
+"""What fields of a user's effect may be annotated with."""
 
 WORD = re.compile(r"[A-Za-z][\w -]*")
 """Text that stands without quotes in a change, as a shell takes them away."""
@@ -147,8 +154,8 @@ def read_scene(
     plane and in solids forces and displacements are lists, one for each of x, y and z; if ``f2`` of
     a traction is one number it acts along the outward normal (a pressure is negative). Other
     histories: ``{ waveform = "triangle", amplitude, period }``,
-    ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``. A waveform
-    may have an ``envelope``, one more history by which it is multiplied.
+    ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``. Each may
+    have an ``envelope``, one more history by which it is multiplied.
 
     All effects with their keys, those in brackets may be left out; `sweepopt.fem` has a class of
     each, whose help says what they mean::
@@ -221,7 +228,21 @@ def _assembled(
 def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> Any:
     """What a function or a record makes of a table whose keys are its arguments."""
     where = f"{path}." if path else ""
-    return from_table(where, kind, table, lambda key, one: _value(key, one, where + key, folder))
+
+    def read(key: str, value: Any) -> Any:
+        if not kind.__module__.startswith("sweepopt."):  # ours say more
+            _require_plain(where + key, signature(kind).parameters[key].annotation, value)
+        return _value(key, value, where + key, folder)
+
+    return from_table(where, kind, table, read)
+
+
+def _require_plain(path: str, annotation: Any, value: Any) -> None:
+    """Refuse a value that is not what a field of a user's effect is annotated with."""
+    name = getattr(annotation, "__name__", str(annotation)).removesuffix(" | None")
+    kind, words = PLAIN.get(name, (object, ""))
+    if not isinstance(value, kind) or (isinstance(value, bool) and name in ("float", "int")):
+        raise InputError(f"{path} must be {words}, got {shown(value)}")
 
 
 def _value(key: str, value: Any, path: str, folder: Path) -> Any:
@@ -268,16 +289,15 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
 def _history(table: Any, path: str, folder: Path) -> Any:
     """The history that a table states."""
     match table:
+        case {"envelope": envelope, **others}:
+            wave = _history(others, path, folder)
+            with at_path(f"{path}."):
+                return Modulated(wave, _history(envelope, "envelope", folder))
         case {"csv": _}:
             return _called(_column, table, path, folder)
         case {"waveform": name, **keys}:
             kind = WAVEFORMS[choice(f"{path}.waveform", name, WAVEFORMS)]
-            envelope = keys.pop("envelope", None)
-            wave = _called(kind, keys, path, folder)
-            if envelope is None:
-                return wave
-            with at_path(f"{path}."):
-                return Modulated(wave, _history(envelope, "envelope", folder))
+            return _called(kind, keys, path, folder)
         case {"table": points, **others} if not others:
             return _called(_points, points, f"{path}.table", folder)
     given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)

@@ -247,7 +247,8 @@ def arrows(report: Report, steps: Array) -> Field:
         return panel.scatter(*x.T, c=use[i], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
 
     axes = tuple("xyz"[k] for k in plane)
-    return Field(draw, x, "friction traction / bound", "", {}, axes)
+    longest = f"slip velocity, the longest arrow {speed.max():.2g}{report.suffix('velocity')}"
+    return Field(draw, x, "friction traction / bound", "", {"black": longest}, axes)
 
 
 def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
@@ -260,12 +261,18 @@ def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
 
 
 def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
-    """The label of an axis, and ticks with units, such as 20 mm; without units plain numbers."""
+    """The label of an axis, and ticks in one unit, such as 20 mm; without units plain numbers."""
     from matplotlib.ticker import EngFormatter
+
+    def tick(x: float, _: int) -> str:
+        size = np.abs(axis.get_view_interval()).max()
+        power = int(np.clip(3 * np.floor(np.log10(size) / 3), -30, 30))
+        number = EngFormatter.fix_minus(f"{round(x / 10.0**power, 6) + 0.0:g}")
+        return f"{number} {EngFormatter.ENG_PREFIXES[power]}{report.units[quantity]}"
 
     axis.set_label_text(label)
     if quantity and report.suffix(quantity):
-        axis.set_major_formatter(EngFormatter(report.units[quantity]))
+        axis.set_major_formatter(tick)
 
 
 def legend_of(figure: Any, names: Mapping[str, str]) -> None:

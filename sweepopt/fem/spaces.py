@@ -351,9 +351,15 @@ class Discretisation(Brief):
 
     def restrict(self, x: Any) -> Any:
         """A matrix or a vector of all degrees of freedom of `basis`, on the unknowns."""
-        if not sp.issparse(x):
+        size, shape = self.extension.shape[0], np.shape(x)
+        if shape[:1] != (size,):
+            raise InputError(
+                f"restrict: give a matrix or a vector of all {size} degrees of freedom of "
+                f"body.basis, got shape {shape}"
+            )
+        if shape != (size, size):
             return np.asarray(self.extension.T @ x)
-        restricted = sp.csc_array(self.extension.T @ x @ self.extension)
+        restricted = sp.csc_array(self.extension.T @ sp.csc_array(x) @ self.extension)
         restricted.sort_indices()
         return restricted
 

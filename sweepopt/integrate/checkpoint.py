@@ -66,7 +66,8 @@ class Checkpoint:
     Parameters
     ----------
     path : str or Path
-        The file, replaced as a whole; the one before it stays beside it as ``path + ".previous"``.
+        The file, replaced as a whole; until the run is done the one before it stays beside it as
+        ``path + ".previous"``.
     steps : int, optional
         Write after every so many steps; a hundredth of the run by default.
     seconds : float, optional
@@ -302,6 +303,8 @@ class CheckpointWriter:
         if last or clock.monotonic() - self.written >= (self.checkpoint.seconds or 0.0):
             self._write(run, self.checkpoint.previous)
             self.written = clock.monotonic()
+        if last:
+            self.checkpoint.previous.unlink(missing_ok=True)
         return True
 
     def _records(self) -> Any:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, takes, vector
+from sweepopt.display import by_parts
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.io import writable
 
@@ -41,6 +42,9 @@ class States(NamedTuple):
     u: Callable[[Index], np.ndarray]
     velocity: Callable[[Index], np.ndarray]
 
+    def __repr__(self) -> str:
+        return by_parts(self)
+
 
 COLUMNS = ["t", "seconds", "iterations", "attempts", "certificate", "relative", "solver"]
 ROW = np.dtype({"names": COLUMNS, "formats": ["f8", "f4", "i4", "i4", "f8", "f8", "i2"]})
@@ -52,6 +56,9 @@ class Statistics(NamedTuple):
 
     rows: np.ndarray
     solvers: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return by_parts(self)
 
     def table(self) -> np.ndarray:
         """A structured array with full numbers and the names themselves, shape (n,)."""

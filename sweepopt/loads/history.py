@@ -399,10 +399,10 @@ class Modulated(History):
 
     def __post_init__(self) -> None:
         for name, one in (("wave", self.wave), ("envelope", self.envelope)):
-            if not isinstance(one, History) or isinstance(one, Modulated):
+            if not isinstance(one, History) or isinstance(one, Modulated) or hasattr(one, "dim"):
                 raise InputError(
-                    f"{name} must be data, such as Sine or Table, and no product itself, got "
-                    f"{shown(one)}"
+                    f"{name} must be data, such as Sine or Table, no VectorTable and no product "
+                    f"itself, got {shown(one)}"
                 )
 
     @property

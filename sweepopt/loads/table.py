@@ -79,7 +79,8 @@ class Table(Brief, History):
             k = int(late[0]) + 1
             raise InputError(
                 f"{path}, row {rows[k]}: time {times[k]:g} does not come after "
-                f"{times[k - 1]:g}; times must increase strictly"
+                f"{times[k - 1]:g}; sort the rows, and leave a small gap at a jump, "
+                f"such as {1e-6 * np.ptp(times):.1g}"
             )
         with at_path(f"{path}: "):
             return cls(times, factor * values)
@@ -192,12 +193,13 @@ def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array,
     if t.size < 2:
         raise InputError(f"{name} must have two entries or more; for one value, use Constant")
     if phi.shape != t.shape:
-        raise InputError(f"values has {phi.size} entries for {t.size} times; give one each")
+        raise InputError(f"values has {phi.size} entries, {name} has {t.size}; give one each")
     late = np.flatnonzero(np.diff(t) < 1 / HUGE)
     if late.size:
         k = int(late[0])
         raise InputError(
             f"{name} must increase strictly, but entry {k + 1} ({t[k + 1]:g}) follows "
-            f"entry {k} ({t[k]:g}); sort the table and keep one value a time"
+            f"entry {k} ({t[k]:g}); sort the table, and leave a small gap at a jump, "
+            f"such as {1e-6 * np.ptp(t):.1g}"
         )
     return t, phi

@@ -466,6 +466,7 @@ class SweepingProcess(Displayed):
 @meaning(
     C="; its C(t) is load - dissipation: give these, or take SweepingProcess(A, B, C, u0)",
     f="; f is load",
+    center="; the load moves the set: give load",
     J="; J is the support function of the set dissipation",
     D="; D is dissipation",
     friction="; a friction bound g is dissipation=so.Box(-g, g)",
@@ -539,7 +540,7 @@ class EvolutionVI(SweepingProcess):
                 )
             if given is not None:
                 sizes[name] = given.dim
-        if not callable(load) and axes(load) == 2:
+        if not callable(load) and (axes(load) == 2 or isinstance(load, str)):
             raise InputError(
                 "load must be a function of t or one vector; one row a time is "
                 "so.VectorTable(times, rows), histories with their vectors so.Separable(pairs)"

@@ -58,6 +58,7 @@ TRIED = {
     "sol": "the solution is a function: call it",
     "time": "the times are t",
     "v": "the velocities are velocity, one row a step",
+    "displacement": "the states are u; those of a body at its nodes are scene.displacement(sol)",
     "z": "the velocities are velocity, one row a step",
     "certificate": "certificates are stats['certificate'], one a step",
 }
@@ -99,7 +100,8 @@ class Solution(Displayed):
     statistics : Statistics
         What `stats` is made of.
     status : Status
-        Such as `so.Status.SUCCESS`, no text; `success` says whether the run reached its end.
+        Such as `so.Status.SUCCESS`, which equals "success"; `success` says whether the run reached
+        its end.
     cause : str
         Which step failed and why, when the run stopped at it.
     recorded : list or None
@@ -134,6 +136,12 @@ class Solution(Displayed):
                 raise AttributeError(f"Solution has no attribute {name}; {TRIED[name]}")
             return object.__getattribute__(self, name)
 
+    def __getitem__(self, key: Any) -> Any:
+        raise InputError(
+            "a Solution has attributes, no items: sol.u, sol.t, sol.velocity and sol.stats, its "
+            f"steps sol.u[i], its fields sol.field(name); got [{shown(key)}]"
+        )
+
     def _rows(self) -> Rows:
         stats, names = self.statistics.rows, [*self.statistics.solvers, "none"]
         yield type(self).__name__, f"dim {self.process.dim}, {self.status.name.lower()}"
@@ -142,7 +150,8 @@ class Solution(Displayed):
         yield "steps", f"{len(stats)}, {len(self.steps)} of them kept"
         yield "scheme", self.plan.scheme.name
         yield "solver", ", ".join(names[i] for i in np.unique(stats["solver"]))
-        yield "worst certificate", f"{stats['relative'].max(initial=0.0):.1e} (relative)"
+        worst = stats["relative"].max(initial=0.0)
+        yield "worst certificate", "none" if np.isnan(worst) else f"{worst:.1e} (relative)"
         if (bound := vars(self).get("_bound")) is not None:
             yield "error bound", repr(bound)
 
@@ -287,11 +296,11 @@ class Solution(Displayed):
 
         It has all unknowns, also those that the run eliminated or recovers when asked, and its
         answer is ``velocity[i]`` to the certificates of both; with several stages z_k the velocity
-        is sum_k b_k z_k. It is that of the whole step, also where the run took it in parts
-        ("clarabel/4" in `stats`) and ``velocity[i]`` is their mean: where scheme "auto" met
-        breakpoints of the load, or its own solvers missed tol on this program. Where sdirk32 took
-        five steps of implicit Euler ("newton, implicit-euler"), these are its stages, with equal
-        weights.
+        is sum_k b_k z_k, b the weights ``plan.scheme.b``. It is that of the whole step, also where
+        the run took it in parts ("clarabel/4" in `stats`) and ``velocity[i]`` is their mean: where
+        scheme "auto" met breakpoints of the load, or its own solvers missed tol on this program.
+        Where sdirk32 took five steps of implicit Euler ("newton, implicit-euler"), these are its
+        stages, with equal weights.
 
         Parameters
         ----------

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import lsmr
 
 from sweepopt.checks import dimension
-from sweepopt.errors import EmptySetError, InputError, SweepoptError
+from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.sets.base import ConvexSet, Features
 from sweepopt.sets.programs import in_turn, normal_by_program, support_by_program
 
@@ -90,7 +90,10 @@ class Constraints(ConvexSet):
         except Exception as error:  # whatever a user's function raises
             raise InputError(f"build(w) raised {type(error).__name__}: {error}") from error
         if not isinstance(constraints, (list, tuple)):
-            raise InputError("build must return a list of cvxpy constraints")
+            raise InputError(
+                "build must return a list of cvxpy constraints, such as [w <= 1], got "
+                f"{shown(constraints)}"
+            )
         for i, constraint in enumerate(constraints):
             _check(constraint, f"constraint {i} of build(w)")
         form = conic(w, list(constraints))

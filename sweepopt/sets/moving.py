@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import dimension, instant, number, symmetric, takes, vector
-from sweepopt.errors import InputError, result_of, shown
+from sweepopt.errors import EmptySetError, InputError, result_of, shown
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
@@ -135,7 +135,12 @@ class MovingSet(Operators):
         for t in map(float, times):  # no list: of many steps it is large
             C = self.at(t)
             if C is not last:
-                C.require_nonempty(f"C(t) at t = {t:g}")
+                try:
+                    C.require_nonempty(f"C(t) at t = {t:g}")
+                except EmptySetError:
+                    for part in self.operands:
+                        part.at(t)  # a scale < 0 for example
+                    raise
             other = False
             if len(acts_on) < 2 and not C.singleton:
                 key = b"" if C.selection is None else C.selection.unknowns.tobytes()
@@ -201,7 +206,7 @@ class Moving(MovingSet):
         self.shape, self.dim = shape, shape.dim
         if callable(center):
             takes(self.center_name, center, "t")
-            if isinstance(center, History) and self.dim == 1:
+            if isinstance(center, History) and self.dim == 1 and not hasattr(center, "dim"):
                 center = Separable([(center, 1.0)])
         elif center is not None:
             center = Separable([(Constant(), vector("center", center, self.dim))])

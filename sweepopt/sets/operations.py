@@ -67,16 +67,15 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
         if any(isinstance(C, StateDependent) for C in operands):
             raise InputError(WITHOUT_STATE)
         summands = _summands(operation, operands) if linear else None
-        by_data = _translated(summands) if summands else None
-        by_data = by_data or _with_rows(operation, operands)
-        if by_data is not None:
-            return by_data
-        fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
-        points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
-        at = partial(_operation_at, on_all, fixed)
-        made = MovingSet(at, operation(*points).dim)
-        made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
-        made.summands = summands
+        if summands and (translated := _translated(summands)):
+            return translated
+        made: Any = _with_rows(operation, operands)
+        if made is None:
+            fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
+            points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
+            made = MovingSet(partial(_operation_at, on_all, fixed), operation(*points).dim)
+            made.summands = summands
+        made.operands = tuple(C for C in operands if isinstance(C, MovingSet))
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
 
     return on_all

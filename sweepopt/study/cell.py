@@ -77,7 +77,7 @@ class CellRow(NamedTuple):
     ----------
     problem, refinements, element, scheme, solver, steps, tol, repeats
         As asked; the element is "" where it is the scene's own.
-    cell : str
+    run : str
         The cell's id.
     status : str
         Name of the run's `Status`, or of the exception's class.
@@ -114,7 +114,7 @@ class CellRow(NamedTuple):
     steps: int
     tol: float
     repeats: int
-    cell: str
+    run: str
     status: str = ""
     success: bool = False
     message: str = ""

@@ -73,12 +73,12 @@ def _fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
 
     Its relative error is so large that its band can be seen.
     """
-    chosen = set(advice(table, TARGETS[:1]).cell)
+    chosen = set(advice(table, TARGETS[:1]).run)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)  # the table has them
         return {
             f"{cell.problem.name}: {cell.scheme}, {cell.steps} steps": solution_of(cell)
-            for cell in study.cells()
+            for cell in study.runs()
             if cell.id in chosen
         }
 

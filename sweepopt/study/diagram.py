@@ -46,7 +46,7 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     Parameters
     ----------
     table : pandas DataFrame
-        Of a study, one row a cell.
+        Of a study, one row a run.
     x : {"wall", "cpu", "steps", "solver_calls"}
         The cost.
 

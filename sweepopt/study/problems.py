@@ -91,7 +91,7 @@ class Source(NamedTuple):
     path : str
         The file that states it.
     digest : str
-        SHA-256 of all files that state the problem.
+        Twelve digits of SHA-256 of all files that state the problem.
     refinements : int
         Of the scene's mesh, beyond its own.
     element : str
@@ -187,7 +187,7 @@ def _digest(path: Path) -> str:
     """Of a file, of its mesh, of its tables and of the run it starts from."""
     files = [path, *(path.parent / name for name in _file_names(read_toml(path)))]
     parts = [hashlib.sha256(read_bytes(file)).digest() for file in files]
-    return hashlib.sha256(b"".join(parts)).hexdigest()
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:12]
 
 
 def _file_names(data: Any) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What a study says: the cheapest cell that is accurate enough, where half its error is cheapest.
+"""What a study says: the cheapest run that is accurate enough, where half its error is cheapest.
 
 As text, or as one HTML file that works without a network: diagrams by Plotly, tables by pandas.
 Plotly's script and the pictures stand in the file, and its policy lets nothing be loaded from
@@ -47,7 +47,7 @@ MUCH = 100.0
 
 
 def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
-    """The fastest successful cell of each problem whose error is at most target * size.
+    """The fastest successful run of each problem whose error is at most target * size.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     Returns
     -------
     pandas DataFrame
-        A row a problem and target, with the columns of the cell and its target; a target
-        that no cell meets has no row.
+        A row a problem and target, with the columns of the run and its target; a target
+        that no run meets has no row.
     """
     import pandas as pd
 
@@ -78,7 +78,7 @@ def halving(table: DataFrame) -> DataFrame:
     """What half the error would cost, along each axis, from the best runs on.
 
     The best runs are those that are more accurate by a tenth than all faster ones of the problem.
-    Along an axis the next cell of the same scheme and solver is taken, all other settings equal.
+    Along an axis the next run of the same scheme and solver is taken, all other settings equal.
     Through the two, error = constant * wall^-p, so that half the error takes 2^(1/p) times the
     time: a local estimate from what was measured.
 
@@ -90,9 +90,9 @@ def halving(table: DataFrame) -> DataFrame:
     Returns
     -------
     pandas DataFrame
-        A row a run, with the columns of its cell, one for each axis in `AXES` called "more steps"
+        A row a run, with its columns, one for each axis in `AXES` called "more steps"
         for example: the factor of the time, inf where the error hardly falls, nan where no next
-        cell was measured; and `cheapest`, the axis of the least factor, "" if all are above MUCH.
+        run was measured; and `cheapest`, the axis of the least factor, "" if all are above MUCH.
     """
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
     factors = {}
@@ -128,7 +128,7 @@ def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
     lines = ["the fastest way to each relative error", words, ""]
     lines += ["factor of the time for half the error, from the best runs on"]
     lines += [readable(halving(table), "cheapest", *AXES).to_string(**FORMAT)]
-    lines += ["", f"{len(table)} cells, {failures.sum()} failed"]
+    lines += ["", f"{len(table)} runs, {failures.sum()} failed"]
     lines += [f"  {count:4}  {status}" for status, count in failures.items()]
     if unknown:
         lines.append(f"  {unknown:4}  succeeded, but no reference is good enough for an error")
@@ -137,7 +137,7 @@ def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
 
 # ---- the page ----
 
-HIDDEN = ["repeats", "cell", "success", "size", "cpu", "steps_done", "machine", "message"]
+HIDDEN = ["repeats", "run", "success", "size", "cpu", "steps_done", "machine", "message"]
 """Columns of a study's table that its page does not show, but for the message, which is last."""
 SYMBOLS = "osDPx^v"
 """Matplotlib's names of Plotly's symbols 0 to 6, of which 100 to 106 are the open ones."""
@@ -182,7 +182,7 @@ def write_report(
     Parameters
     ----------
     table : pandas DataFrame or None
-        Of a study, one row a cell; None if there are hard cases only.
+        Of a study, one row a run; None if there are hard cases only.
     path : path
         The file to write; one that is there is replaced.
     solutions : mapping of str to Solution, optional
@@ -240,19 +240,19 @@ def _study_section(table: DataFrame) -> list[str]:
         readable(advice(table), "target").to_html(border=0, **FORMAT),
         "<h2>Where half the error is cheapest</h2>",
         "<p>For the runs that are more accurate by a tenth than all faster ones: the factor of the "
-        "time that half the error takes along each axis, by the next cell measured there.</p>",
+        "time that half the error takes along each axis, by the next run measured there.</p>",
         readable(halving(table), "cheapest", *AXES).to_html(border=0, **FORMAT),
         "<h2>What accuracy costs</h2>",
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
         "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
         "all others.</p>",
         *diagrams,
-        "<h2>All cells</h2>",
+        "<h2>All runs</h2>",
         _table(
             table.drop(columns=HIDDEN).assign(message=message),
             "status",
             table.success,
-            "cells",
+            "runs",
             "failed",
         ),
     ]

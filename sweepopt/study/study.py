@@ -55,7 +55,7 @@ class Study:
     elements : tuple of str
         Of scenes, in place of their own; "" is their own.
     repeats : int
-        Timed runs of each cell, after one that is not.
+        How often each run is timed, after once that is not.
     title : str
     folder : str
         Where relative paths of scenes start.
@@ -68,7 +68,7 @@ class Study:
     Examples
     --------
     >>> study = Study(("S03", "P09"), ("midpoint", "sdirk2"), ("auto",), (100, 200, 400))
-    >>> len(study.cells())
+    >>> len(study.runs())
     12
     """
 
@@ -84,10 +84,10 @@ class Study:
     folder: str = "."
 
     def __post_init__(self) -> None:
-        self.cells()
+        self.runs()
         _text("title", self.title)
 
-    def cells(self) -> list[Cell]:
+    def runs(self) -> list[Cell]:
         """All combinations, the problem slowest; InputError if a problem's file is gone."""
         checks: dict[str, Any] = {
             "problems": (self._source,),
@@ -189,16 +189,16 @@ def run(
     executor: Executor | None = None,
     progress: Callable[[str], object] = lambda words: None,
 ) -> DataFrame:
-    """Compute the cells of a study that are not in the folder yet.
+    """Compute the runs of a study that are not in the folder yet.
 
     Parameters
     ----------
     study : Study
     folder : str or Path
-        Where finished cells are kept. Killed at any moment, the study goes on from there; what is
+        Where finished runs are kept. Killed at any moment, the study goes on from there; what is
         not whole is computed again.
     executor : concurrent.futures.Executor, optional
-        `processes(n)`, `dask_executor(client)`, or any other one; by default cells are computed
+        `processes(n)`, `dask_executor(client)`, or any other one; by default runs are computed
         here, one after the other. The rows are the same bit for bit, times apart.
     progress : callable, optional
         Called with a line of text when something is finished, for example `print`.
@@ -206,7 +206,7 @@ def run(
     Returns
     -------
     pandas DataFrame
-        A row a cell, with the columns of `CellRow`.
+        A row a run, with the columns of `CellRow`.
 
     Raises
     ------
@@ -215,18 +215,18 @@ def run(
     MissingExtraError
         If a package of the extra "study" is missing.
     """
-    cells, done = study.cells(), set(read_table(study, folder).cell)
+    cells, done = study.runs(), set(read_table(study, folder).run)
     jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
-    progress(f"{len(cells)} cells, {len(done)} of them finished before")
+    progress(f"{len(cells)} runs, {len(done)} of them finished before")
     Path(folder).mkdir(parents=True, exist_ok=True)
     for k, row in enumerate(_compute(jobs, executor), start=1):
         _append_row(Path(folder, ROWS), row)
-        progress(f"{k} of {len(jobs)}: {row.cell}: {row.status}")
+        progress(f"{k} of {len(jobs)}: {row.run}: {row.status}")
     return read_table(study, folder)
 
 
 def read_table(study: Study, folder: str | Path) -> DataFrame:
-    """The finished cells of a study as a table, whether or not there are more to come."""
+    """The finished runs of a study as a table, whether or not there are more to come."""
     with brought_by("study"):
         import pandas as pd
 
@@ -235,8 +235,8 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
         # lines that are cut short or have other columns are no rows
         with suppress(ValueError, TypeError):
             row = CellRow(**json.loads(line))
-            rows[row.cell] = row
-    finished = [rows[cell.id] for cell in study.cells() if cell.id in rows]
+            rows[row.run] = row
+    finished = [rows[cell.id] for cell in study.runs() if cell.id in rows]
     return pd.DataFrame(finished, columns=list(CellRow._fields))
 
 

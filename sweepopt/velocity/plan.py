@@ -215,7 +215,7 @@ def make_plan(
         solvers=solvers,
         scheme=scheme,
         tol=tol,
-        left_out=tuple(_left_out(process, solvers)),
+        left_out=tuple(_left_out(process, solvers, all(C.certifiable for _, C in members))),
         contact=None if cones else contact,
         reduction=None if isinstance(reduced, str) else reduced,
         condensed=condensed,
@@ -294,8 +294,12 @@ def _solvers(
     return solvers, contacts[0] if contacts and same and contacts[0].size < dim else None
 
 
-def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator[str]:
+def _left_out(
+    process: SweepingProcess, solvers: tuple[Solver, ...], certifiable: bool
+) -> Iterator[str]:
     """What the process does not have."""
+    if not certifiable:
+        yield "certificates: C(t) proves no answer, the run ends as uncertified"
     if process.B is None:
         yield "B: there is none, velocities do not depend on history"
     if process.rate_independent:
