@@ -49,7 +49,7 @@ def main() -> None:
     x, y = ring.doflocs
     axes = {"x_axis": np.abs(y) < 1e-12, "y_axis": np.abs(x) < 1e-12}
     write("ring.msh", ring, axes | {"inner": np.hypot(x, y) < 1 + 1e-9})
-    cells = np.linspace(0.0, 1.0, 17)
+    cells = np.linspace(0.0, 1.0, 23)
     plate = quarter([np.expm1(3 * cells) / np.expm1(3), cells], curved=False)
     x, y = plate.doflocs
     axes = {"x_axis": np.abs(y) < 1e-12, "y_axis": np.abs(x) < 1e-12}

@@ -56,6 +56,7 @@ HOLE = [
     (4, (0.0, 0.01), 1, 0.0136656e-3),
     (4, (0.0, 0.1), 1, 0.0465587e-3),
     (18, (0.1, 0.0), 0, -0.1013844e-3),
+    (18, (0.01, 0.0), 0, -0.018089e-3),
     (18, (0.0, 0.01), 1, 0.0822044e-3),
     (18, (0.0, 0.1), 1, 0.2260322e-3),
 ]
@@ -74,7 +75,7 @@ def test_the_plate_agrees_with_an_independent_code_in_plane_strain():
 
 def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor():
     """At 450 / 3.03 = 148.5 MPa; each mesh between two tensions, which close in on that."""
-    for refinements, elastic, plastic in ((0, 148.5, 152.9), (1, 147.8, 149.3)):
+    for refinements, elastic, plastic in ((0, 148.5, 151.5), (1, 147.8, 148.8)):
         scene = read_scene("plate", changes={"domain.refinements": refinements})
         below, above = (
             scene.plastic_strain(scene.solve(t_end=tension / 420, steps=1))[1]

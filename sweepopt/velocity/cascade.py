@@ -90,7 +90,8 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         linear = -force if z is None else N.precisely(-z[few], -force)
         answer = solve(linear, S)
         usable = is_finite(answer.z)
-        pair = pair_near(N, linear, S, answer.z, tol, size) if usable else None
+        known = answer.w if z is None else None  # a refined z needs N z + linear more sharply
+        pair = pair_near(N, linear, S, answer.z, tol, size, known) if usable else None
         if pair is None:
             nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED
             # of a set without proof; inf is a proof that rounding hides

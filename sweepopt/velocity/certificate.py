@@ -38,6 +38,7 @@ from sweepopt.sets import ROUNDING, Box, ConvexSet
 
 CLOSED_FORM = "closed form"  # who finds a velocity that a formula gives
 SHARE = 0.1  # of the tolerance, for rounding that is bounded and not looked at more closely
+SUMS = 1e-9  # more than what a sum of a million squares rounds
 
 
 class Velocity(NamedTuple):
@@ -101,7 +102,9 @@ class Instance(NamedTuple):
         shifts = self.S.shift_sizes
         squares = self.q.dot(self.q) + self.c.dot(self.c) + shifts.dot(shifts)
         most = 3 * ROUNDING * math.sqrt(squares)  # of the length of what `is_rounding` allows
-        if self.S.is_beyond(self.force[self.unknowns], most):
+        few, size = self.force[self.unknowns], self.force.dot(self.force)
+        # what S does not act on, or S itself
+        if size - few.dot(few) > most**2 + SUMS * size or self.S.is_beyond(few, most):
             return False
         outside = self.force - self.projection(self.force)
         return euclidean(outside) <= most and self.is_rounding(outside)
@@ -322,13 +325,20 @@ def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: 
 
 
 def pair_near(
-    M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float, size: float | None = None
+    M: Factor,
+    q: np.ndarray,
+    C: ConvexSet,
+    z: np.ndarray,
+    tol: float,
+    size: float | None = None,
+    force: np.ndarray | None = None,
 ) -> Proposal | None:
     """The normal pair of C near an approximate answer; None if the set has no proof.
 
-    tol is that of the certificate, beside |z|_M or a larger size.
+    tol is that of the certificate, beside |z|_M or a larger size; force is M z + q, if it is known.
     """
-    force, _ = M.apply(z, q, SHARE * tol, size or 0.0)
+    if force is None:
+        force, _ = M.apply(z, q, SHARE * tol, size or 0.0)
     pair = C.normal_pair(-z, force, M.diagonal)
     if pair is None:
         return None

@@ -115,13 +115,14 @@ class VelocityProgram:
 class Answer(NamedTuple):
     """What a solver says; nothing of it is believed before the program has certified it.
 
-    The multipliers y are not used; a solver of yours may give them.
+    The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known.
     """
 
     z: np.ndarray
     y: np.ndarray = np.zeros(0)
     iterations: int = 0
     status: str = ""
+    w: np.ndarray | None = None
 
 
 Solve = Callable[..., Answer]
