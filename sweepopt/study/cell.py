@@ -6,26 +6,31 @@ An error is measured against exact states, or against a fine run that knows its 
 from __future__ import annotations
 
 import gc
+import os
+import platform
+import re
 import time as clock
 import warnings
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from math import inf, nan
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.driver import solve
-from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning
+from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning, brought_by
+from sweepopt.io import versions_of
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.study.problems import Source, from_coarser, open_source
-from sweepopt.study.workers import machine, one_thread
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
 TOL = 1e-8  # of the fine run's programs: a hundredth of the default of a study
+PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
 SAFETY = 20.0
 """How far below an error the reference's own error must lie for the error to be a number."""
 
@@ -278,3 +283,37 @@ def guaranteed_bound(solution: Solution) -> float:
         bound = solution.error_bound()
         return bound if bound.guaranteed else nan
     return nan
+
+
+# ---- what computes ----
+
+
+@cache
+def machine() -> str:
+    """Processor, threads and versions, in one line.
+
+    Examples
+    --------
+    >>> "numpy" in machine()
+    True
+    """
+    cpuinfo = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
+    name, *_ = *names, platform.processor()
+    threads = os.environ.get("OMP_NUM_THREADS", "unset")
+    packages = ", ".join(map(" ".join, versions_of(PACKAGES).items()))
+    system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
+    return f"{name}, {system}; {packages}"
+
+
+def one_thread() -> Any:
+    """Limit the BLAS and OpenMP libraries that are loaded to one thread.
+
+    Raises
+    ------
+    MissingExtraError
+        If threadpoolctl is not installed.
+    """
+    with brought_by("study"):
+        from threadpoolctl import threadpool_limits
+    return threadpool_limits(limits=1)

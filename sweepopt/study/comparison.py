@@ -24,8 +24,8 @@ from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
+from sweepopt.study.cell import one_thread
 from sweepopt.study.problems import Source, open_source
-from sweepopt.study.workers import one_thread
 from sweepopt.velocity import (
     DAQP,
     OSQP,

@@ -24,10 +24,10 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
+from sweepopt.study.cell import machine
 from sweepopt.study.comparison import FORMAT
 from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
-from sweepopt.study.workers import machine
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
