@@ -35,7 +35,6 @@ from sweepopt.integrate import (
     CheckpointWriter,
     Grid,
     Observer,
-    ProgressBar,
     Run,
     SaveFunction,
     SolveOptions,
@@ -50,6 +49,7 @@ from sweepopt.integrate import (
     integrate,
     newest,
     observer,
+    progress_bar,
     require_same_problem,
     saving,
     time_grid,
@@ -430,26 +430,26 @@ def run_over(
 ) -> Solution:
     """Move u along the grid, and make a solution of the run."""
     recorded = writer.recorded if writer else []
-    bar = ProgressBar(progress, len(grid.mus), writer.done if writer else 0)
     run, sink, succeeded = None, None, False
-    try:
-        watchers: list[Callable[[StepInfo], Any]] = []
-        if grid.saving.path:
-            start = float(grid.times[0]), process.u0, process.unknowns_digest
-            sink = NetCDFSink(grid.saving.path, *start)
-            watchers.append(sink.put)
-        if record := grid.saving.function:
-            watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
-        if callback:
-            watchers.append(callback)
-        observe = observer(bar, watchers, grid.plan, grid.times) if watchers or progress else None
-        run = _integrate(process, grid, observe, writer)
-        failed = run.status in (Status.INEXACT, Status.SWITCHING)
-        succeeded = not failed or options.on_failure == "stop"
-    finally:
-        bar.close()
-        if sink is not None:
-            sink.close(_solution(process, run, sink, recorded) if run and succeeded else None)
+    with progress_bar(progress, len(grid.mus), writer.done if writer else 0) as advance:
+        try:
+            watchers: list[Callable[[StepInfo], Any]] = []
+            if grid.saving.path:
+                start = float(grid.times[0]), process.u0, process.unknowns_digest
+                sink = NetCDFSink(grid.saving.path, *start)
+                watchers.append(sink.put)
+            if record := grid.saving.function:
+                watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
+            if callback:
+                watchers.append(callback)
+            seen = advance or watchers
+            observe = observer(advance, watchers, grid.plan, grid.times) if seen else None
+            run = _integrate(process, grid, observe, writer)
+            failed = run.status in (Status.INEXACT, Status.SWITCHING)
+            succeeded = not failed or options.on_failure == "stop"
+        finally:
+            if sink is not None:
+                sink.close(_solution(process, run, sink, recorded) if run and succeeded else None)
     if not succeeded:
         u = grid.plan.state(run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)

@@ -29,11 +29,11 @@ from sweepopt.integrate.grid import (
 from sweepopt.integrate.loop import (
     Callback,
     Observer,
-    ProgressBar,
     SaveFunction,
     StepInfo,
     integrate,
     observer,
+    progress_bar,
 )
 from sweepopt.integrate.options import Adaptive, SolveOptions
 from sweepopt.integrate.record import (
@@ -48,49 +48,3 @@ from sweepopt.integrate.record import (
 )
 from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler
 from sweepopt.integrate.step import BY_EULER, Velocities, combination, compensated_sum
-
-__all__ = [
-    "BY_EULER",
-    "MEMORY",
-    "ROW",
-    "SCHEMES",
-    "Adaptive",
-    "Callback",
-    "Checkpoint",
-    "CheckpointWriter",
-    "Grid",
-    "Index",
-    "Observer",
-    "Pass",
-    "ProgressBar",
-    "Run",
-    "SaveFunction",
-    "Scheme",
-    "SolveOptions",
-    "States",
-    "Statistics",
-    "StepInfo",
-    "StoredRun",
-    "Trajectory",
-    "Velocities",
-    "adapt",
-    "check_stability",
-    "checkpoint_writer",
-    "combination",
-    "compatible_start",
-    "compensated_sum",
-    "differences",
-    "divided",
-    "fingerprint",
-    "first_grid",
-    "implicit_euler",
-    "integrate",
-    "newest",
-    "observer",
-    "program_of_stage",
-    "require_same_problem",
-    "saving",
-    "step_program",
-    "time_grid",
-    "velocity_field",
-]

@@ -17,27 +17,3 @@ from sweepopt.linalg.matrices import (
 )
 from sweepopt.linalg.ordering import is_solid
 from sweepopt.linalg.twice_precision import Precise, exact_sum, product_error
-
-__all__ = [
-    "EPS",
-    "NEGLIGIBLE",
-    "UNIT",
-    "Elimination",
-    "Factor",
-    "InBlocks",
-    "Precise",
-    "dense",
-    "euclidean",
-    "exact_sum",
-    "factor_bytes",
-    "factorised",
-    "is_diagonal",
-    "is_semidefinite",
-    "is_solid",
-    "kernel",
-    "largest_eigenvalue",
-    "largest_ratio",
-    "product_error",
-    "rounding_weights",
-    "row_lengths",
-]

@@ -20,19 +20,3 @@ from sweepopt.loads.history import (
 )
 from sweepopt.loads.separable import Separable
 from sweepopt.loads.table import Table, VectorTable, check_points
-
-__all__ = [
-    "Constant",
-    "History",
-    "Modulated",
-    "Piece",
-    "Polynomial",
-    "Separable",
-    "Sine",
-    "Slope",
-    "Table",
-    "Triangle",
-    "VectorTable",
-    "breakpoints",
-    "check_points",
-]

@@ -20,18 +20,3 @@ from sweepopt.problem.process import (
     proportion,
     sweeping,
 )
-
-__all__ = [
-    "EvolutionVI",
-    "Motion",
-    "Norms",
-    "SweepingProcess",
-    "Terms",
-    "TimeFunction",
-    "applied",
-    "histories_of",
-    "motion",
-    "proportion",
-    "squares",
-    "sweeping",
-]

@@ -20,5 +20,3 @@ SUITES: dict[str, Any] = {
 }
 """Suites by the names of their tables in a study's file, which are those of the files of their
 rows, and the columns by which rows are grouped where they are printed."""
-
-__all__ = ["FAMILIES", "GOOD", "SUITES", "Program", "each", "option", "suite_summary"]

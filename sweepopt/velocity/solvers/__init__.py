@@ -103,20 +103,3 @@ def _curved_parts(C: ConvexSet) -> str:
 
 def _names() -> str:
     return ", ".join(REGISTRY)
-
-
-__all__ = [
-    "DAQP",
-    "NEWTON",
-    "OSQP",
-    "ActiveSet",
-    "Answer",
-    "Clarabel",
-    "Cvxpy",
-    "Newton",
-    "Small",
-    "Solve",
-    "Solver",
-    "choose",
-    "installed",
-]
