@@ -25,7 +25,6 @@ from sweepopt.driver import planned, run_over
 from sweepopt.errors import (
     Status,
     SweepoptError,
-    SweepoptWarning,
     UnstableStepError,
     brought_by,
 )
@@ -35,12 +34,8 @@ from sweepopt.problem import Norms
 from sweepopt.velocity import Plan, solvers
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from sweepopt.fem import Scene
     from sweepopt.fem.output import Report
-    from sweepopt.results import Solution
-    from sweepopt.study import Study
 
 DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written; or the
@@ -168,10 +163,9 @@ def _effects(options: argparse.Namespace) -> int:
 def _study(options: argparse.Namespace) -> int:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
     _require("study")
-    import pandas as pd
-
     from sweepopt import study as room
-    from sweepopt.study.hard import SUITES, suite_summary
+    from sweepopt.study.hard import SUITES, run_suite, suite_summary
+    from sweepopt.study.report import fastest_runs
     from sweepopt.study.study import read_parts
 
     path = find_study(options.study)
@@ -191,43 +185,20 @@ def _study(options: argparse.Namespace) -> int:
             table = room.run(study, folder, executor=pool, progress=_note)
         table.to_csv(folder / TABLE, index=False)
         room.work_precision(table).figure.savefig(folder / DIAGRAM)
-        solutions = _fastest_runs(study, table)
+        solutions = fastest_runs(study, table)
         print(room.summary(table))
         files += [TABLE, DIAGRAM]
     for name, suite in parts.items():
         # in this process, from the start: hard cases take some minutes a seed
-        (lines := folder / f"{name}.csv").unlink(missing_ok=True)
-        rows = suites[name] = []
-        for row in suite:
-            # as they come: an interrupt leaves those that are there
-            pd.DataFrame([row]).to_csv(lines, mode="a", header=not rows, index=False)
-            rows.append(row)
-            _note(f"{name}: {row[:4]}")
-        if rows:
-            print(suite_summary(rows, SUITES[name][1]))
+        lines = folder / f"{name}.csv"
+        suites[name] = run_suite(suite, lines, _note)
+        if suites[name]:
+            print(suite_summary(suites[name], SUITES[name][1]))
             files.append(lines.name)
     title = str(data.get("title", path.stem))
     room.write_report(table, folder / REPORT, solutions=solutions, title=title, **suites)
     print(f"written: {folder}: {', '.join([*files, REPORT])}")
     return DONE
-
-
-def _fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
-    """The fastest run of each problem that meets the first target, solved again.
-
-    Its relative error is so large that its band can be seen.
-    """
-    from sweepopt.study.cell import solution_of
-    from sweepopt.study.report import TARGETS, advice
-
-    chosen = set(advice(table, TARGETS[:1]).cell)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SweepoptWarning)  # the table has them
-        return {
-            f"{cell.problem.name}: {cell.scheme}, {cell.steps} steps": solution_of(cell)
-            for cell in study.cells()
-            if cell.id in chosen
-        }
 
 
 def _compare(options: argparse.Namespace) -> int:

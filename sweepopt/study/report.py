@@ -11,6 +11,7 @@ import base64
 import html
 import io
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from inspect import getdoc
@@ -21,13 +22,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.checks import choice
-from sweepopt.errors import InputError, Status, brought_by
+from sweepopt.errors import InputError, Status, SweepoptWarning, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
-from sweepopt.study.cell import machine
+from sweepopt.study.cell import machine, solution_of
 from sweepopt.study.comparison import FORMAT
 from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
+from sweepopt.study.study import Study
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -72,6 +74,21 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
         for target in targets
     ]
     return pd.concat(chosen, ignore_index=True)
+
+
+def fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
+    """The fastest run of each problem that meets the first target, solved again.
+
+    Its relative error is so large that its band can be seen.
+    """
+    chosen = set(advice(table, TARGETS[:1]).cell)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SweepoptWarning)  # the table has them
+        return {
+            f"{cell.problem.name}: {cell.scheme}, {cell.steps} steps": solution_of(cell)
+            for cell in study.cells()
+            if cell.id in chosen
+        }
 
 
 def halving(table: DataFrame) -> DataFrame:

@@ -9,7 +9,7 @@ from typing import Any
 
 from sweepopt.study.hard.exact import Program
 from sweepopt.study.hard.stiff import stiff_bodies
-from sweepopt.study.hard.suite import GOOD, each, option, suite_summary
+from sweepopt.study.hard.suite import GOOD, each, option, run_suite, suite_summary
 from sweepopt.study.hard.trajectories import hard_trajectories
 from sweepopt.study.hard.velocities import FAMILIES, hard_programs
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from inspect import signature
+from pathlib import Path
 from typing import Any
 
 from sweepopt.checks import choice, count, listed, number
@@ -105,6 +106,19 @@ def run_case(
         return row._replace(verdict="refused" if right else f"{name}: {error}")
     verdict = next((words for words, fault in faults.items() if fault), GOOD[warned])
     return row._replace(verdict=verdict, **entries)
+
+
+def run_suite(suite: Iterable[Any], path: Path, progress: Callable[[str], object]) -> list[Any]:
+    """The rows of a suite, each in the file as soon as it is there: an interrupt leaves them."""
+    import pandas as pd
+
+    path.unlink(missing_ok=True)
+    rows: list[Any] = []
+    for row in suite:
+        pd.DataFrame([row]).to_csv(path, mode="a", header=not rows, index=False)
+        rows.append(row)
+        progress(f"{path.stem}: {row[:4]}")
+    return rows
 
 
 def suite_summary(rows: Sequence[Any], by: Sequence[str]) -> str:
