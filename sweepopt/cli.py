@@ -46,7 +46,6 @@ TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"  # of a study
 EXTRAS = {
     "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
     "plot": ("matplotlib",),
-    "study": ("pandas", "threadpoolctl", "matplotlib", "plotly"),
 }
 """Packages whose absence would only show when a long run is over, by the extra that brings them."""
 
@@ -162,7 +161,6 @@ def _effects(options: argparse.Namespace) -> int:
 
 def _study(options: argparse.Namespace) -> int:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
-    _require("study")
     from sweepopt import study as room
     from sweepopt.study.hard import SUITES, run_suite, suite_summary
     from sweepopt.study.report import fastest_runs
@@ -203,7 +201,6 @@ def _study(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace) -> int:
     """Compare all solvers on the programs of a scene."""
-    _require("study")
     from sweepopt.study import compare, comparison_text, find_source
 
     if options.csv is not None:

@@ -6,6 +6,14 @@ write_report(table, "report.html")                             # its page
 compare(find_source("tube"))                                   # all solvers on a run's programs
 """
 
+from sweepopt.errors import brought_by
+
+with brought_by("study"):
+    import matplotlib
+    import pandas
+    import plotly
+    import threadpoolctl
+
 from sweepopt.study.cell import machine
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision

@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from sweepopt.driver import solve
-from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning, brought_by
+from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning
 from sweepopt.io import versions_of
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
@@ -218,7 +219,7 @@ def run_cell(cell: Cell, finest: Source) -> CellRow:
         warnings.simplefilter("always")
         try:
             solution_of(cell)  # packages are imported, the problem is assembled, caches are filled
-            with one_thread():
+            with threadpool_limits(1):
                 row = _measure(cell, finest)
         except Exception as error:  # whatever it is, the table has it
             return cell.failed(error)._replace(machine=machine())
@@ -304,16 +305,3 @@ def machine() -> str:
     packages = ", ".join(map(" ".join, versions_of(PACKAGES).items()))
     system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
     return f"{name}, {system}; {packages}"
-
-
-def one_thread() -> Any:
-    """Limit the BLAS and OpenMP libraries that are loaded to one thread.
-
-    Raises
-    ------
-    MissingExtraError
-        If threadpoolctl is not installed.
-    """
-    with brought_by("study"):
-        from threadpoolctl import threadpool_limits
-    return threadpool_limits(limits=1)

@@ -17,12 +17,15 @@ from datetime import UTC, datetime
 from inspect import getdoc
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from pandas import DataFrame, Series, concat
+from plotly.offline import get_plotlyjs
+from plotly.subplots import make_subplots
 
 from sweepopt.checks import choice
-from sweepopt.errors import InputError, Status, SweepoptWarning, brought_by
+from sweepopt.errors import InputError, Status, SweepoptWarning
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.cell import machine, solution_of
@@ -30,9 +33,6 @@ from sweepopt.study.comparison import FORMAT
 from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.study import Study
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
 
 TARGETS = (1e-2, 1e-4, 1e-6)
 AXES = {
@@ -64,8 +64,6 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
         A row a problem and target, with the columns of the cell and its target; a target
         that no cell meets has no row.
     """
-    import pandas as pd
-
     known = table[table.success & table.error.notna()].sort_values("wall", kind="stable")
     chosen = [
         known[known.error <= target * known["size"]]
@@ -73,7 +71,7 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
         .assign(target=target)
         for target in targets
     ]
-    return pd.concat(chosen, ignore_index=True)
+    return concat(chosen, ignore_index=True)
 
 
 def fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
@@ -218,16 +216,12 @@ def write_report(
     ------
     InputError
         If the table is not a study's or the path no place for a file.
-    MissingExtraError
-        If Plotly or matplotlib is not installed.
     """
     for name in suites:
         choice("name", name, SUITES)
     if table is None and not any(map(len, suites.values())):
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
-    with brought_by("study"):
-        from plotly.offline import get_plotlyjs
     parts, machines = [], [machine()]
     if table is not None:
         parts += _study_section(table)
@@ -276,9 +270,7 @@ def _study_section(table: DataFrame) -> list[str]:
 
 
 def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
-    import pandas as pd
-
-    table = pd.DataFrame(rows)
+    table = DataFrame(rows)
     title, text = str(getdoc(SUITES[name][0])).split("\n\n")[:2]
     good = table.verdict.isin(GOOD)
     return [
@@ -289,8 +281,6 @@ def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
 
 def _diagram(table: DataFrame, cost: str) -> str:
     """What `work_precision` draws, with a legend that filters and a tooltip a cell."""
-    from plotly.subplots import make_subplots
-
     places = points(table, cost)
     names = places.panel.unique().tolist()
     rows, columns = -(-len(names) // COLUMNS), min(len(names), COLUMNS)

@@ -20,9 +20,10 @@ from itertools import product
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from pandas import DataFrame
 
 from sweepopt.checks import at_path, choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
@@ -32,9 +33,6 @@ from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES, each, option
 from sweepopt.study.problems import Source, find_source
 from sweepopt.velocity import solvers
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 ROWS = "rows.jsonl"
 
@@ -215,8 +213,6 @@ def run(
     ------
     InputError
         If a problem is not there.
-    MissingExtraError
-        If a package of the extra "study" is missing.
     """
     cells, done = study.cells(), set(read_table(study, folder).cell)
     jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
@@ -230,9 +226,6 @@ def run(
 
 def read_table(study: Study, folder: str | Path) -> DataFrame:
     """The finished cells of a study as a table, whether or not there are more to come."""
-    with brought_by("study"):
-        import pandas as pd
-
     rows, path = {}, Path(folder, ROWS)
     for line in path.read_bytes().splitlines() if path.exists() else ():
         # lines that are cut short or have other columns are no rows
@@ -240,7 +233,7 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
             row = CellRow(**json.loads(line))
             rows[row.cell] = row
     finished = [rows[cell.id] for cell in study.cells() if cell.id in rows]
-    return pd.DataFrame(finished, columns=list(CellRow._fields))
+    return DataFrame(finished, columns=list(CellRow._fields))
 
 
 def _append_row(path: Path, row: CellRow) -> None:

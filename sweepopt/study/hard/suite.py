@@ -13,6 +13,8 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
+from pandas import DataFrame
+
 from sweepopt.checks import choice, count, listed, number
 from sweepopt.driver import solve
 from sweepopt.errors import (
@@ -110,12 +112,10 @@ def run_case(
 
 def run_suite(suite: Iterable[Any], path: Path, progress: Callable[[str], object]) -> list[Any]:
     """The rows of a suite, each in the file as soon as it is there: an interrupt leaves them."""
-    import pandas as pd
-
     path.unlink(missing_ok=True)
     rows: list[Any] = []
     for row in suite:
-        pd.DataFrame([row]).to_csv(path, mode="a", header=not rows, index=False)
+        DataFrame([row]).to_csv(path, mode="a", header=not rows, index=False)
         rows.append(row)
         progress(f"{path.stem}: {row[:4]}")
     return rows
@@ -123,9 +123,7 @@ def run_suite(suite: Iterable[Any], path: Path, progress: Callable[[str], object
 
 def suite_summary(rows: Sequence[Any], by: Sequence[str]) -> str:
     """The largest numbers of each group of rows, and a line for each row that is not good."""
-    import pandas as pd
-
-    groups = pd.DataFrame(rows).drop(columns="seed").groupby(list(by), sort=False)
+    groups = DataFrame(rows).drop(columns="seed").groupby(list(by), sort=False)
     table = groups.max(numeric_only=True).assign(runs=groups.size())
     wrong = [row for row in rows if row.verdict not in GOOD]
     lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]
