@@ -1,7 +1,5 @@
 """Turn what a user passes into finite float arrays, or say which entry is wrong and why."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections import Counter

@@ -4,8 +4,6 @@ A file that cannot be read is an `InputError` that names the file, the place in 
 file that is written takes its place only when it is complete.
 """
 
-from __future__ import annotations
-
 import base64
 import csv
 import errno

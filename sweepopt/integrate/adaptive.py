@@ -15,27 +15,23 @@ To the loop over time an adaptive grid is a grid as any other. Each segment betw
 in equal parts that are halved again and again, so that steps share their programs.
 """
 
-from __future__ import annotations
-
 import math
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, number, vector
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.integrate.grid import breakpoints_to_meet
+from sweepopt.integrate.options import Adaptive
 from sweepopt.integrate.record import Pass, States
+from sweepopt.integrate.schemes import Scheme
 from sweepopt.linalg import EPS
 from sweepopt.loads import History, Sine, Triangle
 from sweepopt.problem import SweepingProcess, histories_of, squares
-
-if TYPE_CHECKING:
-    from sweepopt.integrate.options import Adaptive
-    from sweepopt.integrate.schemes import Scheme
 
 STEPS = 1_000_000  # of the finest pass: hours
 FIRST = 16  # steps of the first pass, twice as many where nothing but values of the load are known

@@ -1,11 +1,9 @@
 """When: the grid of times, where a scheme looks at C(t), and which steps it may take."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +13,7 @@ from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
 from sweepopt.linalg import EPS
 from sweepopt.loads import Constant, History, breakpoints
 from sweepopt.problem import SweepingProcess, histories_of, motion
-
-if TYPE_CHECKING:
-    from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan
 
 MOST = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""

@@ -3,8 +3,6 @@
 t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
 """
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -18,8 +18,6 @@ errors were above twice the best of implicit-euler, midpoint and sdirk2, the wor
 none, 1.6 times. Schemes by name do not, so that a comparison shows the tableaux.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -7,8 +7,6 @@ tolerance: then u moves through parts of it as through steps, and the result is 
 grid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Symmetric positive definite matrices: factorised, bounded, and with few unknowns left."""
 
-from __future__ import annotations
-
 from sweepopt.linalg.cholesky import InBlocks, factorised
 from sweepopt.linalg.eigenvalues import is_semidefinite, kernel, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes

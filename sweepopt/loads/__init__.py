@@ -5,8 +5,6 @@ load's few shapes. A black-box callable has neither, so histories here are small
 their exact variation and their breakpoints, and `Separable` keeps shapes and histories apart.
 """
 
-from __future__ import annotations
-
 from sweepopt.loads.history import (
     Constant,
     History,

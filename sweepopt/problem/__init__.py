@@ -1,7 +1,5 @@
 """The two problems of the theory, how C(t) moves as data, and the norms of a process (MATH 1)."""
 
-from __future__ import annotations
-
 from sweepopt.problem.motion import (
     Motion,
     Terms,

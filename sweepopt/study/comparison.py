@@ -6,8 +6,6 @@ certificate of the answer, computed from the data, is within the accuracy asked 
 says of itself does not count.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import time as clock

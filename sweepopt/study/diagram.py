@@ -6,8 +6,6 @@ left out: an error of 0 lies below the others of its panel, a cell that failed o
 known above them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any

@@ -5,8 +5,6 @@ Plotly's script and the pictures stand in the file, and its policy lets nothing 
 elsewhere. What comes from a table is text in it, never HTML.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import io

@@ -7,8 +7,6 @@ With one thread a process times compare, and rows are the same bit for bit, wher
 computed.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """One step: the program, its certificate, the plan that chooses a path, the solvers (MATH 2, 5)."""
 
-from __future__ import annotations
-
 from sweepopt.velocity.certificate import Velocity, certify, certify_point, of_fixed_point
 from sweepopt.velocity.compiled import (
     StateVelocity,

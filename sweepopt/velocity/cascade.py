@@ -19,8 +19,6 @@ with w = N zeta + N E M^-1 (q - c) (MATH.md section 5). For a residual of some z
 the same program gives the change of z.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -12,8 +12,6 @@ rounded, with a bound of what rounding hides; where that bound is no small share
 tolerance allows, rho is computed once more from A, B and u in twice the precision.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cached_property

@@ -12,8 +12,6 @@ creep w of a plug enters sigma E w, free of the rounding of its velocity, so tha
 hundredfold in each round.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -12,6 +12,8 @@ import scipy.sparse as sp
 from sweepopt.display import Displayed, Rows
 from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.linalg import factor_bytes, is_diagonal
+from sweepopt.problem import SweepingProcess
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.cones import blocks
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.proportional import Reduction, reduce
@@ -20,8 +22,6 @@ from sweepopt.velocity.solvers import NEWTON, Small, Solver, choose
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
-    from sweepopt.problem import SweepingProcess
-    from sweepopt.sets import ConvexSet
 
 PATHS = {
     "auto": "the first that applies",

@@ -27,11 +27,6 @@ from sweepopt.velocity.certificate import Velocity, certify_point
 if TYPE_CHECKING:
     import cvxpy as cp
 
-# of the residual, left by a step of Newton's method after which the tangent is kept: such steps
-# cost a fifth of others; of 1e-4 to 0.2 this takes the least time on problems/tread.toml, and of
-# 0 to 0.1 on a ring with plastic strains
-KEPT = 1e-2
-
 
 class Translate(NamedTuple):
     """C = c + S."""

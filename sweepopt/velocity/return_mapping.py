@@ -21,8 +21,6 @@ multiple of 1 on (p, alpha), in whose units the cone is a circular one, and it i
 without kinematic hardening too (`ConvexSet.exchange`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -24,8 +24,6 @@ sigma > 0 is not; a row with neither is undecided and enters the program of the 
 At A = 0 only rows without slack can be active, S = N B N^T and s_k = (k + 1) d_{k+1}.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -4,8 +4,6 @@ A run takes it on its grid, the inclusion checked at each node and late in each 
 a row that is missed is violated until its phase ends.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

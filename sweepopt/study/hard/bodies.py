@@ -1,7 +1,5 @@
 """What velocities.toml names: matrices of small bodies, and what acts on a few unknowns."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 

@@ -5,8 +5,6 @@ eliminated, the rest is solved by linear complementarity problems. These need no
 solver's answer is favoured. The solution is unique.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from decimal import Decimal, localcontext

@@ -3,8 +3,6 @@
 A body, a load and a seed make a process; its A is scaled such that mu Lam is that of the row.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product

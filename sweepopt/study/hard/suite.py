@@ -4,8 +4,6 @@ A suite is a function of its options that yields named tuples with the fields se
 verdict; its docstring is shown in the report.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence

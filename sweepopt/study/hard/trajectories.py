@@ -9,8 +9,6 @@ the stability function. A scheme that warns is held to p = 0, the way that the b
 adds is allowed in the size of its certificates and of rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property, partial
 from itertools import pairwise, product

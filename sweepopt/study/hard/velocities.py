@@ -4,8 +4,6 @@ What makes a program hard was listed one by one; solvers fail where two or three
 names what it is made of, and a seed makes it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from itertools import product

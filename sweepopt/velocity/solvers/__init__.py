@@ -1,7 +1,5 @@
 """Solvers of the velocity program: the library's names for them and how "auto" chooses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -14,8 +14,6 @@ w = q + L x it seeks the shortest x with  G L x <= h - G q,  z = L^-T x: the con
 square root of that of M.
 """
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from functools import cache

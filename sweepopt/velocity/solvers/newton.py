@@ -10,8 +10,6 @@ equation falls. Where that ends, another solver takes over. Where M is sparse an
 blocks, so is the system.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,7 +22,8 @@ import scipy.sparse as sp
 from sweepopt.checks import Matrix
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
-from sweepopt.velocity.program import KEPT, Answer, Small, Solve, VelocityProgram
+from sweepopt.velocity.energies import KEPT
+from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
 # a step with it leaves 1e-6 of the residual; with 1e-8 a hull in units from 1e-6 to 1e6 misses 1e-9
