@@ -74,9 +74,7 @@ class Velocities:
                 return Step(mean)
         whole, cause = self._mean(t, mu, u), ""
         work.append(whole)
-        if not whole.relative > self._plan.tol:
-            return Step(_mean((1.0,), [whole], work))
-        for count in PARTS:
+        for count in PARTS if whole.relative > self._plan.tol else ():
             h = mu / count
             starts = t + h * np.arange(count)
             try:
@@ -148,10 +146,9 @@ class Velocities:
             start = u + mu * combination(weights[:-1], stages) if stages else u
             try:
                 stages.append(self._stage(mu * weights[-1], t + c * mu, start, C))
-            except TouchingError:
-                return [Velocity(np.zeros_like(u), math.inf, math.inf, "none", attempts=1)]
-            except IndefiniteError:
-                return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
+            except (TouchingError, IndefiniteError) as error:
+                solver = INDEFINITE if isinstance(error, IndefiniteError) else "none"
+                return [Velocity(np.zeros_like(u), math.inf, math.inf, solver, attempts=1)]
         return stages
 
     def _stage(self, gamma: float, t: float, u: np.ndarray, C: ConvexSet | None = None) -> Velocity:
