@@ -21,14 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sweepopt.checks import Array
 from sweepopt.errors import CheckpointError, DamagedFileError, InputError, shown, suggestion
 
 if os.name == "posix":
     import fcntl
-
-Array = NDArray[np.float64]
 
 
 # ---- paths and text ----
@@ -353,7 +351,7 @@ def _force(path: Path, flags: int) -> None:
 def write_npz(
     path: Path,
     record: dict[str, Any],
-    arrays: Mapping[str, np.ndarray],
+    arrays: Mapping[str, Array],
     previous: Path | None = None,
 ) -> None:
     """Replace a file by an .npz of a record (plain JSON types) and of arrays of numbers.
@@ -365,7 +363,7 @@ def write_npz(
         np.savez(file, allow_pickle=False, **{"record": text, **arrays})
 
 
-def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """The record and the arrays that `write_npz` wrote; each has a checksum, the zip's own.
 
     Raises

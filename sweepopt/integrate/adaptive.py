@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, axes, number, vector
+from sweepopt.checks import TIME_SLACK, Array, axes, number, vector
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.integrate.grid import breakpoints_to_meet
 from sweepopt.integrate.options import Adaptive
@@ -48,13 +48,13 @@ ADVICE = (
     "met exactly) or loosen the tolerance"
 )
 
-Runs = Callable[[np.ndarray, float], Any]
+Runs = Callable[[Array, float], Any]
 """Times and a bound of the programs' tol -> Solution."""
 
 
 def first_grid(
     steps: Adaptive, process: SweepingProcess, t_end: Any, scheme: Scheme, save: Any
-) -> np.ndarray:
+) -> Array:
     """The coarsest grid of a run.
 
     It contains breakpoints, of dense tables only the points where they turn, and the times that are
@@ -100,9 +100,7 @@ def first_grid(
     return np.asarray(np.sort(np.append(grid, cuts[-1])))
 
 
-def adapt(
-    run: Runs, process: SweepingProcess, steps: Adaptive, times: np.ndarray
-) -> tuple[Any, str]:
+def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) -> tuple[Any, str]:
     """The run over the first grid with a small estimated error, and why there is none.
 
     Ctrl-C during a pass returns its steps, Ctrl-C between two passes the one before.
@@ -166,7 +164,7 @@ def _first_steps(sol: Any, k: int) -> Any:
     return replace(sol, t=sol.t[: k + 1], states=states, statistics=statistics)
 
 
-def _noted(run: Runs, times: np.ndarray, tol: float) -> Any:
+def _noted(run: Runs, times: Array, tol: float) -> Any:
     """The run, with a note on what a user's function raised."""
     try:
         return run(times, tol)
@@ -179,7 +177,7 @@ def _noted(run: Runs, times: np.ndarray, tol: float) -> Any:
         raise
 
 
-def _leading(process: SweepingProcess, sol: Any) -> np.ndarray:
+def _leading(process: SweepingProcess, sol: Any) -> Array:
     """|z^(r)| in each step and its floor.
 
     Differences are taken across breakpoints too: a motion that stops in the first step after one,
@@ -195,7 +193,7 @@ def _leading(process: SweepingProcess, sol: Any) -> np.ndarray:
     return leading + mean ** (r + 1)
 
 
-def _refined(times: np.ndarray, leading: np.ndarray, r: int, total: float) -> np.ndarray:
+def _refined(times: Array, leading: Array, r: int, total: float) -> Array:
     """The grid, its steps halved until no local error is above the largest allowed one, where these
     are `total` in sum.
     """
@@ -232,7 +230,7 @@ def _failure(tol: float, rounding: float, wanted: float, passes: list[Pass]) -> 
     return ""
 
 
-def _apart(cuts: np.ndarray) -> np.ndarray:
+def _apart(cuts: Array) -> Array:
     """Increasing; breakpoints that differ by rounding are one."""
     cuts = np.unique(cuts)
     distinct = cuts[np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])]

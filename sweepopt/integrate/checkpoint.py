@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import count, number
+from sweepopt.checks import Array, count, number
 from sweepopt.display import evenly
 from sweepopt.errors import (
     CheckpointError,
@@ -123,7 +123,7 @@ class StoredRun(NamedTuple):
 
     file: Path
     record: dict[str, Any]
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, Array]
 
     @property
     def done(self) -> int:
@@ -179,7 +179,7 @@ def _read(file: Path) -> StoredRun:
     return StoredRun(file, record, arrays)
 
 
-def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.ndarray) -> None:
+def require_same_problem(stored: StoredRun, process: SweepingProcess, times: Array) -> None:
     """Refuse a checkpoint of another problem, and warn of other versions."""
     if differ := differences(stored.record["problem"], process, times):
         raise InputError(
@@ -353,7 +353,7 @@ def _require_free(checkpoint: Checkpoint) -> None:
 # ---- what defines a problem ---------------------------------------------------------------------
 
 
-def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
+def fingerprint(process: SweepingProcess, times: Array) -> dict[str, str]:
     """sha256 of A, B, u0 and C(t), part by part, so that one can say which part differs.
 
     Of C(t) the data; a function of time is compared by its values at up to SAMPLES of the times.
@@ -376,7 +376,7 @@ def _sha256(values: Iterable[Any]) -> str:
     return digest.hexdigest()
 
 
-def differences(began: Mapping[str, str], process: SweepingProcess, times: np.ndarray) -> list[str]:
+def differences(began: Mapping[str, str], process: SweepingProcess, times: Array) -> list[str]:
     """The parts of a process that are not those of the fingerprint of another at these times."""
     now = fingerprint(process, times)
     return [name for name in now if began.get(name) != now[name]]

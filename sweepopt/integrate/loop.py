@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import blas
 
-from sweepopt.checks import HUGE
+from sweepopt.checks import HUGE, Array
 from sweepopt.display import by_parts
 from sweepopt.errors import InputError, Status, brought_by, result_of, shown
 from sweepopt.integrate.exact import exact_steps
@@ -28,7 +28,7 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ROUNDING
 from sweepopt.velocity import Plan, Velocity
 
-Observer = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
+Observer = Callable[[int, Array, Array, float], "bool | None"]
 """Sees a step's number, state, velocity and certificate; a true value stops the run."""
 Restarts = Callable[[Run], bool]
 """Whether programs shall forget the steps so far, as those of a run that goes on from there do."""
@@ -151,8 +151,8 @@ class StepInfo(NamedTuple):
 
     step: int
     t: float
-    u: np.ndarray
-    velocity: np.ndarray
+    u: Array
+    velocity: Array
     certificate: float
 
     def __repr__(self) -> str:
@@ -160,7 +160,7 @@ class StepInfo(NamedTuple):
 
 
 Callback = Callable[[StepInfo], "bool | None"]
-SaveFunction = Callable[[float, np.ndarray, np.ndarray], Any]
+SaveFunction = Callable[[float, Array, Array], Any]
 
 
 @contextmanager
@@ -185,14 +185,14 @@ def observer(
     advance: Callable[[], Any] | None,
     watchers: Sequence[Callable[[StepInfo], Any]],
     plan: Plan,
-    times: np.ndarray,
+    times: Array,
 ) -> Observer:
     """What the loop calls after each step: a bar, then the watchers, who see all unknowns.
 
     A watcher that answers with a true value stops the run.
     """
 
-    def observe(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool:
+    def observe(i: int, u: Array, z: Array, certificate: float) -> bool:
         if advance is not None:
             advance()
         if not watchers:

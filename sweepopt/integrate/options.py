@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import MEMORY, choice, meaning, number, tolerance
+from sweepopt.checks import MEMORY, Array, choice, meaning, number, tolerance
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.grid import (
     contraction,
@@ -118,9 +118,7 @@ class SolveOptions:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
         return scheme
 
-    def plan(
-        self, process: SweepingProcess, scheme: Scheme, times: np.ndarray, mus: np.ndarray
-    ) -> Plan:
+    def plan(self, process: SweepingProcess, scheme: Scheme, times: Array, mus: Array) -> Plan:
         """How the process is simulated; C(t) is checked at all times that are asked for."""
         for history in histories_of(process.C, inside=False):
             if isinstance(history, Table):

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from sweepopt.checks import Array
 from sweepopt.driver import solve
 from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning
 from sweepopt.io import versions_of
@@ -152,11 +153,11 @@ class Reference(NamedTuple):
         Why there are none, a sentence.
     """
 
-    u: np.ndarray = np.empty(0)
+    u: Array = np.empty(0)
     uncertainty: float = inf
     message: str = ""
 
-    def error(self, process: SweepingProcess, u: np.ndarray) -> float:
+    def error(self, process: SweepingProcess, u: Array) -> float:
         """The error of states on the nodes; nan if the reference's own is not far below."""
         if len(u) != len(self.u):
             return nan
@@ -199,7 +200,7 @@ def reference_states(
     return Reference(fine, largest_norm(process, fine[:: 2 // min(save, 2)] - coarse))
 
 
-def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
+def largest_norm(process: SweepingProcess, u: Array) -> float:
     """sup over the nodes of |u_i|_A, of |.|_B where A = 0."""
     return max(map(process.metric.norm, u))
 

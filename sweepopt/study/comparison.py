@@ -19,7 +19,7 @@ import numpy as np
 from pandas import DataFrame, concat
 from threadpoolctl import threadpool_limits
 
-from sweepopt.checks import count
+from sweepopt.checks import Array, count
 from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
@@ -52,7 +52,7 @@ x best   of those that solved all programs at that accuracy
 median, worst   relative certificates of the solver's own answers, not refined"""
 
 
-Program = tuple[VelocityProgram, np.ndarray, ConvexSet]
+Program = tuple[VelocityProgram, Array, ConvexSet]
 """A velocity program of a run, with its q and C."""
 
 
@@ -138,7 +138,7 @@ def record(source: Source, steps: int) -> list[Program]:
         def compile(self, program: VelocityProgram) -> Solve:
             answer = super().compile(program)
 
-            def noted(q: np.ndarray, C: ConvexSet) -> Any:
+            def noted(q: Array, C: ConvexSet) -> Any:
                 programs.append((program, q.copy(), C))
                 return answer(q, C)
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import is_finite
+from sweepopt.checks import Array, is_finite
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.sets import Balls, Box, ConvexSet, shape_of
 from sweepopt.velocity.certificate import (
@@ -51,8 +51,8 @@ Right ones miss it by about TOL of a solver, 1e-8. DAQP gave velocities of 1e15 
 force in half-spaces, with which error bounds were up to 1e27 times the error (11 of 906 random
 processes)."""
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
-AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
-Propose = Callable[[np.ndarray, np.ndarray | None], Proposal]
+AnswerOf = Callable[[Array, ConvexSet], Answer]
+Propose = Callable[[Array, Array | None], Proposal]
 """From the residual of a z, None for 0, to a better pair; its gap is nan where it has no proof."""
 
 
@@ -83,7 +83,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     """The program of the unknowns that M keeps, as a solver answers it."""
     few, N = M.unknowns, M.small
 
-    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+    def propose(residual: Array, z: Array | None) -> Proposal:
         forward, force, size = M.reduce(-residual)
         linear = -force if z is None else N.precisely(-z[few], -force)
         answer = solve(linear, S)
@@ -108,7 +108,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     return propose
 
 
-def with_forces_at_rest(N: Factor, q: np.ndarray, S: ConvexSet, pair: Proposal) -> Proposal:
+def with_forces_at_rest(N: Factor, q: Array, S: ConvexSet, pair: Proposal) -> Proposal:
     """The pair with the forces w at rest that leave the least residual, if S has them.
 
     What z rounds, dz, leaves a residual N_mm dz on the unknowns m that move. With the forces of z
@@ -129,7 +129,7 @@ def with_forces_at_rest(N: Factor, q: np.ndarray, S: ConvexSet, pair: Proposal) 
 def by_solve(M: Factor) -> Propose:
     """The solution of the linear system that is left where C is a point."""
 
-    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+    def propose(residual: Array, z: Array | None) -> Proposal:
         change = -M.solve(residual)
         z = change if z is None else z + change
         return Proposal(z, np.zeros(z.size), size=0.0)  # no larger than |z|_M
@@ -167,19 +167,7 @@ class Attempt:
         default_factory=lambda: lru_cache(1)(ConvexSet.apart)
     )
 
-    def __call__(
-        self, inclusion: Inclusion, of: Instance, best: np.ndarray, tol: float
-    ) -> Velocity:
-        """The velocity that the solver finds, refined."""
-        propose = self.proposals(inclusion, of.S, best, tol)
-        velocity = refined(inclusion, propose, of, tol)
-        if not velocity.relative < math.inf:  # a workspace that failed is not used again
-            self.compiled = None
-        return velocity
-
-    def proposals(
-        self, inclusion: Inclusion, S: ConvexSet, best: np.ndarray, tol: float
-    ) -> Propose:
+    def proposals(self, inclusion: Inclusion, S: ConvexSet, best: Array, tol: float) -> Propose:
         """From residuals to the solver's normal pairs."""
         M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
@@ -187,7 +175,7 @@ class Attempt:
         compiled = self.compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
         start = [best[M.unknowns]] if self.from_best and best.any() else []
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+        def solve(q: Array, C: ConvexSet) -> Answer:
             return compiled(q, C, start.pop()) if start else compiled(q, C)
 
         return by_program(M, solve, S, tol)
@@ -296,7 +284,9 @@ class Cascade:
             return velocity._replace(solver=CLOSED_FORM)
         best, solver, iterations, count = unsolved(of), "none", 0, 0
         for attempt in self._attempts:
-            velocity = attempt(inclusion, of, best.z, tol)
+            velocity = refined(inclusion, attempt.proposals(inclusion, of.S, best.z, tol), of, tol)
+            if not velocity.relative < math.inf:  # a workspace that failed is not used again
+                attempt.compiled = None
             iterations += velocity.iterations
             count += 1
             if velocity.relative < best.relative or math.isnan(velocity.relative):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import Array
 from sweepopt.linalg import Elimination, Factor, is_solid
 from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade, by_solve, refined
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from sweepopt.velocity.plan import Plan
     from sweepopt.velocity.proportional import Reduction
 
-VelocityOf = Callable[[np.ndarray, ConvexSet], Velocity]
+VelocityOf = Callable[[Array, ConvexSet], Velocity]
 EVERY: Any = slice(None)
 DEFAULT_TOL = 1e-6  # what is aimed at where every answer is welcome (tol = inf)
 
@@ -91,7 +92,7 @@ class StateVelocity:
         self._one: tuple[ConvexSet | None, Any] = None, None
         self._apart = lru_cache(1)(ConvexSet.apart)
 
-    def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
+    def __call__(self, u: Array, C: ConvexSet) -> Velocity:
         if u.size == 1 and self._solver == "auto":
             c, S = untranslated(C)
             if self._one[0] is not S:
@@ -106,12 +107,12 @@ class StateVelocity:
             return self.of_force(np.zeros_like(u), C)
         return self.of_force(self._B.dot(u), C, u)
 
-    def distance(self, z: np.ndarray, other: np.ndarray) -> float:
+    def distance(self, z: Array, other: Array) -> float:
         """|z - other|_M."""
         difference = z - other
         return math.sqrt(max(difference.dot(self._M.dot(difference)), 0.0))
 
-    def of_force(self, q: np.ndarray, C: ConvexSet, u: np.ndarray | None = None) -> Velocity:
+    def of_force(self, q: Array, C: ConvexSet, u: Array | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:
             of, inclusion = Instance(q - C.anchor, q, C.anchor, C, u), self._on_all
@@ -194,7 +195,7 @@ class ReducedVelocity(StateVelocity):
         super().__init__(replace(plan, contact=None, reduction=None), M, N, N.M, B, gamma)
         self._reduction, self._gamma = reduction, gamma
 
-    def __call__(self, y: np.ndarray, C: ConvexSet) -> Velocity:
+    def __call__(self, y: Array, C: ConvexSet) -> Velocity:
         few, rho, gamma = self._reduction.few, self._reduction.rho, self._gamma
         on_contact: ConvexSet
         c, S = untranslated(C)

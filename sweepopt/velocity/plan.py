@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import Array
 from sweepopt.display import Displayed, Rows
 from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.linalg import factor_bytes, is_diagonal
@@ -79,13 +80,13 @@ class Plan(Displayed):
     scheme: Scheme
     tol: float
     left_out: tuple[str, ...]
-    contact: np.ndarray | None = None
+    contact: Array | None = None
     reduction: Reduction | None = None
     condensed: bool = False
     cones: bool = False
     contraction: float = 0.0
     proved: bool = True
-    breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    breakpoints: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def path(self) -> str:
@@ -109,11 +110,11 @@ class Plan(Displayed):
         """The process of the unknowns that enter, which the loop moves."""
         return process if self.reduction is None else self.reduction.process
 
-    def state(self, y: np.ndarray) -> np.ndarray:
+    def state(self, y: Array) -> Array:
         """All unknowns of states, shape (dim,) or in rows, from those that enter."""
         return y if self.reduction is None else self.reduction.state(y)
 
-    def velocity(self, y: np.ndarray) -> np.ndarray:
+    def velocity(self, y: Array) -> Array:
         """The same of velocities."""
         return y if self.reduction is None else self.reduction.velocity(y)
 
@@ -226,7 +227,7 @@ def make_plan(
 def _has_cones(
     process: SweepingProcess,
     members: Sequence[tuple[float, ConvexSet]],
-    contact: np.ndarray | None,
+    contact: Array | None,
     path: str,
     tol: float,
 ) -> bool:
@@ -252,7 +253,7 @@ def _has_cones(
 def _condenses(
     process: SweepingProcess,
     members: Sequence[tuple[float, ConvexSet]],
-    contact: np.ndarray | None,
+    contact: Array | None,
     path: str,
 ) -> bool:
     """Whether the unknowns of the sets are condensed point by point.
@@ -275,10 +276,10 @@ def _condenses(
 
 def _solvers(
     dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
-) -> tuple[tuple[Solver, ...], np.ndarray | None]:
+) -> tuple[tuple[Solver, ...], Array | None]:
     """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
     solvers: tuple[Solver, ...] = ()
-    contacts: list[np.ndarray] = []
+    contacts: list[Array] = []
     for t, C in members:
         selection = None if path == "full" else C.selection
         try:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, count, number, vector
+from sweepopt.checks import Array, Matrix, count, number, vector
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 class Translate(NamedTuple):
     """C = c + S."""
 
-    c: np.ndarray
+    c: Array
     S: ConvexSet
 
 
@@ -135,12 +135,12 @@ class StepProgram(Brief):
     problem: cp.Problem
     z: cp.Variable
     M: Matrix
-    Bu: np.ndarray
+    Bu: Array
     C: ConvexSet
 
     @classmethod
     @in_turn
-    def of(cls, M: Matrix, Bu: np.ndarray, C: ConvexSet) -> StepProgram:
+    def of(cls, M: Matrix, Bu: Array, C: ConvexSet) -> StepProgram:
         """That of M, B u and C(t)."""
         import cvxpy as cp
 
@@ -194,8 +194,8 @@ class Answer(NamedTuple):
     The multipliers y are not used; a solver of yours may give them.
     """
 
-    z: np.ndarray
-    y: np.ndarray = np.zeros(0)
+    z: Array
+    y: Array = np.zeros(0)
     iterations: int = 0
     status: str = ""
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.io import read_toml
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import SweepingProcess
@@ -29,7 +30,7 @@ EMPTY = "a strip that is missing by 1e-9"
 
 # ---- stiffness, histories ---------------------------------------------------------------------
 
-STIFFNESS: dict[str, Callable[[Random, np.ndarray], Any]] = {
+STIFFNESS: dict[str, Callable[[Random, Array], Any]] = {
     "no B": lambda random, A: None,
     "B = 0": lambda random, A: None,
     "any B": lambda random, A: chain(random, len(A)),
@@ -109,7 +110,7 @@ def _draw(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
     return getattr(bodies, function)(*given, *arguments)
 
 
-def _load(names: Names, random: Random, n: int, few: np.ndarray, edge: Any) -> np.ndarray:
+def _load(names: Names, random: Random, n: int, few: Array, edge: Any) -> Array:
     shares = entry_of(LOADS, names)
     if not shares or edge is None:
         return 3 * random.normal(size=n)

@@ -22,7 +22,7 @@ from importlib.util import find_spec
 import numpy as np
 import scipy.linalg
 
-from sweepopt.checks import HUGE
+from sweepopt.checks import HUGE, Array
 from sweepopt.errors import EmptySetError, brought_by
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
@@ -85,11 +85,11 @@ class DAQP(Small):
         box: ConvexSet | None = None
         unit = 0.0
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+        def solve(q: Array, C: ConvexSet) -> Answer:
             nonlocal box, unit
             q = q / root
             force = binary(np.abs(q).max())
-            bounds: dict[str, np.ndarray] = {}
+            bounds: dict[str, Array] = {}
             if C is not box or force != unit:
                 box, unit = C, force
                 limit = INFINITE / np.maximum(1.0, force * root * (INFINITE / HUGE))
@@ -145,7 +145,7 @@ class ActiveSet(Small):
         M = program.M
         lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+        def solve(q: Array, C: ConvexSet) -> Answer:
             rows, z, corrected = _rows(C), np.zeros_like(q), q
             if rows is None:  # a polytope that is flat to rounding
                 return Answer(z, status="failed: no rows")
@@ -168,7 +168,7 @@ class ActiveSet(Small):
         return solve
 
 
-def _rows(C: ConvexSet) -> tuple[np.ndarray, np.ndarray] | None:
+def _rows(C: ConvexSet) -> tuple[Array, Array] | None:
     try:
         return C.halfspaces().inequalities()
     except NoHalfspacesError:
