@@ -97,7 +97,7 @@ def first_grid(
         sizes = np.repeat(np.diff(cuts) / counts, counts)
         odd = np.arange(sizes.size) % 2
         grid = np.append(grid, grid + np.where(odd, 1 - share, share) * sizes)
-    return np.asarray(np.sort(np.append(grid, cuts[-1])))
+    return np.sort(np.append(grid, cuts[-1]))
 
 
 def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) -> tuple[Any, str]:

@@ -128,7 +128,7 @@ class StoredRun(NamedTuple):
     @property
     def done(self) -> int:
         """How many steps were done."""
-        return int(self.record["run"]["done"])
+        return self.record["run"]["done"]
 
 
 def newest(checkpoint: Checkpoint) -> StoredRun:

@@ -137,7 +137,7 @@ def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.
     # of implicit Euler R = 1 / (1 + mu Lam) > 0, whatever Lam is: to prove it takes factors
     if scheme.order == 1 and not scheme.explicit:
         return False
-    return bool(scheme.amplification(-min(mu * process.Lam, HUGE)) < -least)
+    return scheme.amplification(-min(mu * process.Lam, HUGE)) < -least
 
 
 def choose(name: str, coercive: bool) -> Scheme:

@@ -306,7 +306,7 @@ def _diagram(table: DataFrame, cost: str) -> str:
     figure.update_yaxes(type="log", exponentformat="power", title=f"{ERROR}, |·|<sub>A</sub>")
     figure.update_layout(template="plotly_white", height=120 + 320 * rows)
     config = {"displaylogo": False, "responsive": True}
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
+    return figure.to_html(full_html=False, include_plotlyjs=False, config=config)
 
 
 def _picture(solutions: Mapping[str, Solution]) -> str:

@@ -342,7 +342,7 @@ def pair_near(
 
 def is_rounding(outside: Array, scale: Array) -> bool:
     """Whether each entry is at most 8 rounding units of its scale."""
-    return bool((np.abs(outside) <= ROUNDING * scale).all())
+    return (np.abs(outside) <= ROUNDING * scale).all()
 
 
 def at_rest(q: Array, solver: str = "at rest") -> Velocity:

@@ -151,8 +151,7 @@ class Cones:
 
     def _rates(self, z: Array) -> Array:
         """E z, a column for each block."""
-        rates: Array = (self._rows.E @ z).reshape(self._s.shape)
-        return rates
+        return (self._rows.E @ z).reshape(self._s.shape)
 
     def _derivative(self, g: Array, v: Array, s: Array) -> Array:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
@@ -162,8 +161,7 @@ class Cones:
         of_one = np.where(flows, g / size, 1.0) * self._sigma
         of_two = np.where(flows, 0.5 / size**2, 0.0) * self._sigma
         turned = s[:, None] * (of_two * v)
-        D: Array = of_one * np.eye(len(s))[:, :, None] - turned - turned.transpose(1, 0, 2)
-        return D
+        return of_one * np.eye(len(s))[:, :, None] - turned - turned.transpose(1, 0, 2)
 
     def _plugs(self, rigid: Array, z: Array) -> Array:
         """z with one value, the mean, on connected rigid blocks; 0 where one of them is held."""
@@ -182,8 +180,7 @@ class Cones:
 
 def lengths(columns: Array) -> Array:
     """|x_k| of each column."""
-    of: Array = np.sqrt((columns * columns).sum(axis=0))
-    return of
+    return np.sqrt((columns * columns).sum(axis=0))
 
 
 def in_balls(v: Array, g: Array) -> Array:

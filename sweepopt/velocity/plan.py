@@ -33,6 +33,7 @@ PATHS = {
     "full": "a program for all unknowns",
 }
 
+Members = Sequence[tuple[float, ConvexSet]]  # times, and C(t) at them
 FINEST = 1e-7  # tolerance of cones: the root of twice what sum g |E_k z| rounds, 6e-8 of its root
 
 
@@ -155,7 +156,7 @@ class Plan(Displayed):
 
 def make_plan(
     process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
+    members: Members,
     scheme: Scheme,
     solver: Any,
     tol: float,
@@ -226,7 +227,7 @@ def make_plan(
 
 def _has_cones(
     process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
+    members: Members,
     contact: Array | None,
     path: str,
     tol: float,
@@ -252,7 +253,7 @@ def _has_cones(
 
 def _condenses(
     process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
+    members: Members,
     contact: Array | None,
     path: str,
 ) -> bool:
@@ -275,7 +276,7 @@ def _condenses(
 
 
 def _solvers(
-    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
+    dim: int, members: Members, solver: Any, path: str, tol: float
 ) -> tuple[tuple[Solver, ...], Array | None]:
     """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
     solvers: tuple[Solver, ...] = ()

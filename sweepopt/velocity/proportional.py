@@ -147,7 +147,7 @@ class Reduction:
     def is_accurate(self, enough: float) -> bool:
         """Whether A^-1 was applied to this accuracy."""
         known = (self._errors <= enough * self._sizes).all()
-        return bool(known and self._extension_error <= enough)
+        return known and self._extension_error <= enough
 
     def certified(self, gamma: float, y: Array, velocity: Velocity) -> Velocity:
         """The velocity of a stage from y with the certificate of all unknowns.

@@ -99,7 +99,7 @@ class Case:
             ends = keys[key]
             low, high = np.transpose(ends) if np.ndim(ends) else (ends, ends)
             x = random.uniform(size=count)
-            return np.asarray(low ** (1 - x) * high**x)
+            return low ** (1 - x) * high**x
 
         (self.mu,), (steps,) = draw("step", 1), draw("steps", 1)
         self.t = self.mu * np.arange(round(steps) + 1)
@@ -156,7 +156,7 @@ class Case:
         """The error that is right, if one is."""
         tableau = SCHEMES.get(scheme)
         if tableau is None or self.keys["refused"]:
-            return str(self.keys["refused"])
+            return self.keys["refused"]
         if not self.A.any() and not tableau.implicit:
             return "InputError"
         return "UnstableStepError" if tableau.explicit and self.mu_Lam > 2 else ""
