@@ -127,7 +127,8 @@ class SolveOptions:
         plan = make_plan(process, members, scheme, self.solver, self.tol, self.path)
         plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))
         reduction = plan.reduction if self.path == "auto" else None
-        if reduction and not reduction.suits(mus, scheme, self.tol):
+        gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
+        if reduction and not (scheme.exact or reduction.suits(gamma, span, self.tol)):
             reason = "proportional path: steps differ so much that short ones would be rounding"
             plan = replace(plan, reduction=None, left_out=(*plan.left_out, reason))
         return meeting_breakpoints(process, plan, times) if self.scheme == "auto" else plan

@@ -137,12 +137,6 @@ def by_solve(M: Factor) -> Propose:
     return propose
 
 
-def by_formula(M: Factor, S: ConvexSet, tol: float) -> Propose:
-    """z = M^-1 (w - q + c), w the projection on C - c in the metric of a diagonal M."""
-    diagonal = M.small.diagonal
-    return by_program(M, lambda q, S: Answer((S.project(q) - q) / diagonal), S, tol)
-
-
 # ---- the cascade -------------------------------------------------------------------------------
 
 
@@ -280,8 +274,12 @@ class Cascade:
         if inclusion.rests(of, tol):
             return at_rest(of.q)
         if self._has_formula:
-            velocity = refined(inclusion, by_formula(inclusion.M, of.S, tol), of, tol)
-            return velocity._replace(solver=CLOSED_FORM)
+            # z = M^-1 (w - q + c), w the projection on C - c in the metric of M
+            diagonal = inclusion.M.small.diagonal
+            propose = by_program(
+                inclusion.M, lambda q, S: Answer((S.project(q) - q) / diagonal), of.S, tol
+            )
+            return refined(inclusion, propose, of, tol)._replace(solver=CLOSED_FORM)
         best, solver, iterations, count = unsolved(of), "none", 0, 0
         for attempt in self._attempts:
             velocity = refined(inclusion, attempt.proposals(inclusion, of.S, best.z, tol), of, tol)

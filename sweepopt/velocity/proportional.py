@@ -21,12 +21,10 @@ The influence function F of a load f is the answer of the body while its contact
 A F = f - E^T (force on the contact) with E F = 0.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -37,9 +35,6 @@ from sweepopt.loads import Constant, Separable
 from sweepopt.problem import SweepingProcess, Terms, motion, proportion
 from sweepopt.sets import Aligned, ConvexSet, Moving
 from sweepopt.velocity.certificate import Velocity, is_rounding
-
-if TYPE_CHECKING:
-    from sweepopt.integrate import Scheme
 
 LEAST_SPEED = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
@@ -133,16 +128,14 @@ class Reduction:
         u[..., self._A.unknowns] = y[..., : self.few]
         return u
 
-    def suits(self, mus: Array, scheme: Scheme, tol: float) -> bool:
+    def suits(self, gamma: float, span: float, tol: float) -> bool:
         """Whether steps leave the velocities of alpha a thousand times as accurate as tol.
 
         alpha' = (psi - rho alpha) / (1 + gamma rho), psi the load's value, is the difference of two
-        numbers that, far from the start, are as near to each other as the run is long in units of
-        1 / rho.
+        numbers that, far from the start, are as near to each other as the run, the span, is long
+        in units of 1 / rho.
         """
-        gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
-        rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
-        return scheme.exact or rounding <= LEAST_SPEED * tol
+        return UNIT * self.rho * span / (1 + gamma * self.rho) <= LEAST_SPEED * tol
 
     def is_accurate(self, enough: float) -> bool:
         """Whether A^-1 was applied to this accuracy."""

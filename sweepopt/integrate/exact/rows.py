@@ -130,13 +130,8 @@ class Rows:
     @cached_property
     def modes(self) -> Callable[[tuple[int, ...]], tuple[Array, Array]]:
         """lam and V of a face (`modes`): a periodic motion comes to the same faces again."""
-
-        @lru_cache(FACES)
-        def of_face(active: tuple[int, ...]) -> tuple[Array, Array]:
-            square = np.ix_(active, active)
-            return modes(self.S[square], self.SB[square])
-
-        return of_face
+        both = self.S, self.SB
+        return lru_cache(FACES)(lambda active: modes(*(M[np.ix_(active, active)] for M in both)))
 
     def pieces(self, start: float, end: float) -> Iterator[tuple[float, float, list[Piece]]]:
         """Neighbouring breakpoints a and b between the two times, and the phi_k between them."""
