@@ -291,12 +291,6 @@ def times_inside(value: Any, nodes: Array) -> Array:
     return np.where(np.abs(nearest - array) <= slack, nearest, array)
 
 
-def is_finite(array: Array) -> bool:
-    """Whether all entries of a vector are finite."""
-    # the plain call: scaled, so that it neither overflows nor warns, and quick
-    return not array.size or math.isfinite(blas.dnrm2(array))
-
-
 def matrix(name: str, value: Any) -> Matrix:
     """A finite float matrix with two axes: dense as an ndarray, sparse as CSC.
 

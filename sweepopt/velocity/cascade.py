@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Array, is_finite
+from sweepopt.checks import Array
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.sets import Balls, Box, ConvexSet, shape_of
 from sweepopt.velocity.certificate import (
@@ -87,7 +87,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         forward, force, size = M.reduce(-residual)
         linear = -force if z is None else N.precisely(-z[few], -force)
         answer = solve(linear, S)
-        usable = is_finite(answer.z)
+        usable = math.isfinite(answer.z.dot(answer.z))
         pair = pair_near(N, linear, S, answer.z, tol, size) if usable else None
         if pair is None:
             nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED

@@ -77,9 +77,8 @@ class StateVelocity:
         gamma: float = 0.0,
     ) -> None:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
-        contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
-        self._contact, self._solver, self._condensed = contact, plan.solver, plan.condensed
-        self._by_cones, self._proved = plan.cones, plan.proved
+        none = np.zeros(0, dtype=int)
+        self._plan, self._contact = plan, none if plan.contact is None else plan.contact
         self._on_condensed: Inclusion | None = None
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
         self.forget()
@@ -89,23 +88,25 @@ class StateVelocity:
         self._cascade: Cascade | None = None
         self._mapping: ReturnMapping | None = None
         self._cones: Cones | None = None
-        self._one: tuple[ConvexSet | None, Any] = None, None
+        self._one = lru_cache(1)(self._formula)
         self._apart = lru_cache(1)(ConvexSet.apart)
 
     def __call__(self, u: Array, C: ConvexSet) -> Velocity:
-        if u.size == 1 and self._solver == "auto":
+        if u.size == 1 and self._plan.solver == "auto":
             c, S = untranslated(C)
-            if self._one[0] is not S:
-                self._one = S, None
-                if isinstance(S, Box) and not S.singleton:
-                    self._one = S, one_unknown(self._on_all, S, self._tol)
-            formula = self._one[1]
+            formula = self._one(S)
             velocity = formula and formula(float(u[0]), float(c[0]))
             if velocity is not None:
                 return velocity
         if self._B is None:
             return self.of_force(np.zeros_like(u), C)
         return self.of_force(self._B.dot(u), C, u)
+
+    def _formula(self, S: ConvexSet) -> Any:
+        """For one unknown between two bounds."""
+        if isinstance(S, Box) and not S.singleton:
+            return one_unknown(self._on_all, S, self._tol)
+        return None
 
     def distance(self, z: Array, other: Array) -> float:
         """|z - other|_M."""
@@ -124,7 +125,7 @@ class StateVelocity:
             of_part, part = untranslated(selection.part)
             shifted = c.copy() if selection.shift is None else c + selection.shift
             shifted[self._contact] += of_part
-            if not self._condensed:
+            if not self._plan.condensed:
                 few, c, S = self._contact, shifted, part
             else:
                 mapped = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
@@ -133,13 +134,13 @@ class StateVelocity:
         S = self._apart(S)
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
-        if self._by_cones:
+        if self._plan.cones:
             velocity = self._coned(of)
             if velocity.relative <= self._tol:
                 return velocity
         if self._cascade is None or not self._cascade.serves(inclusion, S):
-            data, anew = (inclusion, self._solver, of, self._tol), self._cascade is not None
-            self._cascade = Cascade(*data, self._proved, anew)
+            data, anew = (inclusion, self._plan.solver, of, self._tol), self._cascade is not None
+            self._cascade = Cascade(*data, self._plan.proved, anew)
         return self._cascade(of)
 
     def _mapped(self, of: Instance) -> Velocity | None:
@@ -206,4 +207,4 @@ class ReducedVelocity(StateVelocity):
         velocity = super().__call__(y[:few], on_contact)
         rates = (c[few:] - rho * y[few:]) / (1 + gamma * rho)
         velocity = velocity._replace(z=np.concatenate([velocity.z, rates]))
-        return self._reduction.certified(gamma, y, velocity) if self._proved else velocity
+        return self._reduction.certified(gamma, y, velocity) if self._plan.proved else velocity
