@@ -38,7 +38,6 @@ from sweepopt.checks import Array, at_path
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum
 from sweepopt.linalg import EPS, dense
-from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
 from sweepopt.sets import NoHalfspacesError, facets, least_distance, parallel_rows
 
@@ -132,12 +131,6 @@ class Rows:
         """lam and V of a face (`modes`): a periodic motion comes to the same faces again."""
         both = self.S, self.SB
         return lru_cache(FACES)(lambda active: modes(*(M[np.ix_(active, active)] for M in both)))
-
-    def pieces(self, start: float, end: float) -> Iterator[tuple[float, float, list[Piece]]]:
-        """Neighbouring breakpoints a and b between the two times, and the phi_k between them."""
-        ends = [start, *breakpoints(self.histories, start, end).tolist(), end]
-        for a, b in pairwise(ends):
-            yield a, b, [phi.piece(a, b) for phi in self.histories]
 
 
 @at_path("scheme 'exact' does not apply: ")

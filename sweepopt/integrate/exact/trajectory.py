@@ -7,7 +7,7 @@ a row that is missed is violated until its phase ends.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import groupby
+from itertools import groupby, pairwise
 from operator import attrgetter
 from typing import Any
 
@@ -20,6 +20,7 @@ from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, firs
 from sweepopt.integrate.exact.rows import Face, Rows, face_after, rows_of
 from sweepopt.integrate.record import Run, Step
 from sweepopt.linalg import EPS, Factor
+from sweepopt.loads import breakpoints
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point
 
@@ -133,8 +134,9 @@ def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase
         If C(t) becomes empty.
     """
     u, before, switch, left, stalled = u0, None, False, PHASES, False
-    for a, b, pieces in rows.pieces(start, end):
-        s = a
+    ends = [start, *breakpoints(rows.histories, start, end).tolist(), end]
+    for a, b in pairwise(ends):
+        s, pieces = a, [phi.piece(a, b) for phi in rows.histories]
         left += 1
         while s < b:
             phi = histories(pieces, s, b - s)
