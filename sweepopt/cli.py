@@ -162,7 +162,7 @@ def _effects(options: argparse.Namespace) -> int:
 def _study(options: argparse.Namespace) -> int:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
     from sweepopt import study as room
-    from sweepopt.study.hard import SUITES, run_suite, suite_summary
+    from sweepopt.study.hard import run_suite, suite_summary
     from sweepopt.study.report import fastest_runs
     from sweepopt.study.study import read_parts
 
@@ -191,7 +191,7 @@ def _study(options: argparse.Namespace) -> int:
         lines = folder / f"{name}.csv"
         suites[name] = run_suite(suite, lines, _note)
         if suites[name]:
-            print(suite_summary(suites[name], SUITES[name][1]))
+            print(suite_summary(suites[name]))
             files.append(lines.name)
     title = str(data.get("title", path.stem))
     room.write_report(table, folder / REPORT, solutions=solutions, title=title, **suites)

@@ -269,7 +269,7 @@ def _study_section(table: DataFrame) -> list[str]:
 
 def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
     table = DataFrame(rows)
-    title, text = str(getdoc(SUITES[name][0])).split("\n\n")[:2]
+    title, text = str(getdoc(SUITES[name])).split("\n\n")[:2]
     good = table.verdict.isin(GOOD)
     return [
         f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",

@@ -174,7 +174,7 @@ def read_study(path: str | Path) -> Study:
 def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The keys of a study's file, and the rows of its suites by name, which are to be computed."""
     data, rows = read_toml(path), {}
-    for name, (suite, _) in SUITES.items():
+    for name, suite in SUITES.items():
         if name in data:
             where = f"{path}: {name}."
             rows[name] = from_table(where, suite, data.pop(name), partial(option, suite, where))

@@ -119,9 +119,14 @@ def run_suite(suite: Iterable[Any], path: Path, progress: Callable[[str], object
     return rows
 
 
-def suite_summary(rows: Sequence[Any], by: Sequence[str]) -> str:
-    """The largest numbers of each group of rows, and a line for each row that is not good."""
-    groups = DataFrame(rows).drop(columns="seed").groupby(list(by), sort=False)
+def suite_summary(rows: Sequence[Any]) -> str:
+    """The largest numbers of rows that differ by their seed, and a line for each that is not good.
+
+    What makes a case stands in front of its seed.
+    """
+    table = DataFrame(rows)
+    by = [*table.columns[: table.columns.get_loc("seed")]]
+    groups = table.drop(columns="seed").groupby(by, sort=False)
     table = groups.max(numeric_only=True).assign(runs=groups.size())
     wrong = [row for row in rows if row.verdict not in GOOD]
     lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]
