@@ -391,7 +391,11 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
             raise DamagedFileError(f"{path} is damaged or no file of ours: {error}") from error
 
 
-def versions_of(packages: Iterable[str]) -> dict[str, str]:
+PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
+"""Their versions may change the last bits of a result, and its time."""
+
+
+def versions_of(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
     """The versions of Python, of those that are installed, and of the library."""
     versions = {"python": platform.python_version()}
     for name in packages:

@@ -52,8 +52,6 @@ if TYPE_CHECKING:
     from sweepopt.integrate.record import Grid, Run
 
 SCHEMA = 6  # of the file: one more for each change of what it holds
-PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
-"""Their versions may change the last bits of a result."""
 WRITES = 100  # of a run, at whose ends it may be written down if nobody says how many steps
 SECONDS = 10.0  # between two files, if nobody says how many
 SAMPLES = 256  # times at which functions of time are compared
@@ -198,7 +196,7 @@ def require_same_problem(stored: StoredRun, process: SweepingProcess, times: Arr
 
 
 def _versions() -> dict[str, str]:
-    return {"machine": platform.machine(), **versions_of(PACKAGES)}
+    return {"machine": platform.machine(), **versions_of()}
 
 
 # ---- writing ------------------------------------------------------------------------------------

@@ -32,7 +32,6 @@ THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
 TOL = 1e-8  # of the fine run's programs: a hundredth of the default of a study
-PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
 SAFETY = 20.0
 """How far below an error the reference's own error must lie for the error to be a number."""
 
@@ -303,6 +302,6 @@ def machine() -> str:
     names = re.findall(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
     name, *_ = *names, platform.processor()
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
-    packages = ", ".join(map(" ".join, versions_of(PACKAGES).items()))
+    packages = ", ".join(map(" ".join, versions_of().items()))
     system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
     return f"{name}, {system}; {packages}"
