@@ -29,6 +29,7 @@ from sweepopt.errors import (
 )
 from sweepopt.integrate import (
     MEMORY,
+    STEPS,
     Adaptive,
     Callback,
     Checkpoint,
@@ -60,7 +61,6 @@ from sweepopt.velocity import Plan, compile_projection
 
 GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
 LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
-STEPS = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
 LONG = 1000  # times the given steps: without a word such a run seems to hang
 HOPELESS = 100 * STEPS  # by the order of the scheme, from the first grid, which may be too coarse
 

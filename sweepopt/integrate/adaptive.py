@@ -33,7 +33,7 @@ from sweepopt.linalg import EPS
 from sweepopt.loads import History, Sine, Triangle
 from sweepopt.problem import SweepingProcess, histories_of, squares
 
-STEPS = 1_000_000  # of the finest pass: hours
+STEPS = 1_000_000  # of the finest pass, or grid: hours, and 16 MB of states of one unknown
 FIRST = 16  # steps of the first pass, twice as many where nothing but values of the load are known
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # steps cut in this ratio fall into step with no period
 PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
