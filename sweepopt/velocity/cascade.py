@@ -21,8 +21,8 @@ the same program gives the change of z.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -157,15 +157,12 @@ class Attempt:
     body: Callable[[], Factor]
     from_best: bool = False
     compiled: Solve | None = None
-    apart: Callable[[ConvexSet], ConvexSet] = field(
-        default_factory=lambda: lru_cache(1)(ConvexSet.apart)
-    )
 
     def proposals(self, inclusion: Inclusion, S: ConvexSet, best: Array, tol: float) -> Propose:
         """From residuals to the solver's normal pairs."""
         M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
-            S = self.apart(selection.part)
+            S = selection.part.apart()
         compiled = self.compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
         start = [best[M.unknowns]] if self.from_best and best.any() else []
 
