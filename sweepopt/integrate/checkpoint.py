@@ -208,7 +208,7 @@ def checkpoint_writer(
     process: SweepingProcess,
     grid: Grid,
     options: SolveOptions,
-    stored: StoredRun | None = None,
+    stored: StoredRun | None,
 ) -> Iterator[CheckpointWriter | None]:
     """Read the argument `checkpoint` of solve; `stored` is the run that is continued.
 

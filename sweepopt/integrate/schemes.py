@@ -133,7 +133,7 @@ def implicit_euler(steps: int) -> Scheme:
     return Scheme("implicit-euler", a=rows, b=rows[-1], c=times, order=1)
 
 
-def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.0) -> bool:
+def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float) -> bool:
     """Whether errors come back with the other sign and more than this share of their size."""
     # of implicit Euler R = 1 / (1 + mu Lam) > 0, whatever Lam is: to prove it takes factors
     if scheme.order == 1 and not scheme.explicit:

@@ -172,7 +172,7 @@ class Attempt:
         return by_program(M, solve, S, tol)
 
 
-def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool = False) -> list[Attempt]:
+def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool) -> list[Attempt]:
     """The solvers of a program, in the order in which they are asked.
 
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
@@ -227,8 +227,8 @@ class Cascade:
         solver: Any,
         of: Instance,
         tol: float,
-        proved: bool = True,
-        anew: bool = False,
+        proved: bool,
+        anew: bool,
     ) -> None:
         self._proved = proved
         self._inclusion, self._cone, self._tol = inclusion, of.S, tol

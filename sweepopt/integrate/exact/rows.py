@@ -253,7 +253,7 @@ class Face(NamedTuple):
     redundant: Array
 
 
-def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: bool = False) -> Face:
+def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: bool) -> Face:
     """The face just after t.
 
     Parameters
