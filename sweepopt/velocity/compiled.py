@@ -88,25 +88,20 @@ class StateVelocity:
         self._cascade: Cascade | None = None
         self._mapping: ReturnMapping | None = None
         self._cones: Cones | None = None
-        self._one = lru_cache(1)(self._formula)
+        self._one = lru_cache(1)(one_unknown)
         self._apart = lru_cache(1)(ConvexSet.apart)
 
     def __call__(self, u: Array, C: ConvexSet) -> Velocity:
         if u.size == 1 and self._plan.solver == "auto":
             c, S = untranslated(C)
-            formula = self._one(S)
-            velocity = formula and formula(float(u[0]), float(c[0]))
-            if velocity is not None:
-                return velocity
+            if isinstance(S, Box) and not S.singleton:
+                formula = self._one(self._on_all, S, self._tol)
+                velocity = formula(float(u[0]), float(c[0]))
+                if velocity is not None:
+                    return velocity
         if self._B is None:
             return self.of_force(np.zeros_like(u), C)
         return self.of_force(self._B.dot(u), C, u)
-
-    def _formula(self, S: ConvexSet) -> Any:
-        """For one unknown between two bounds."""
-        if isinstance(S, Box) and not S.singleton:
-            return one_unknown(self._on_all, S, self._tol)
-        return None
 
     def distance(self, z: Array, other: Array) -> float:
         """|z - other|_M."""
