@@ -1,7 +1,5 @@
 """Turn what a user passes into finite float arrays, or say which entry is wrong and why."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections import Counter
@@ -19,6 +17,7 @@ from sweepopt.errors import InputError, SweepoptError, shown, suggestion
 
 F = TypeVar("F")
 R = TypeVar("R")
+Array: TypeAlias = np.ndarray
 Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
 
 HUGE = 1e75
@@ -258,7 +257,7 @@ def listed(name: str, value: Any) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
+def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> Array:
     """A float array of shape (dim,); a scalar counts as one entry."""
     array = floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
@@ -271,7 +270,7 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
     return bounded(name, array, "finite numbers" if finite else "numbers", finite)
 
 
-def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
+def entries(name: str, value: Any, finite: bool = True) -> Array:
     """A float vector with at least one entry, as no set has dim 0, that nobody can change."""
     result = vector(name, value, finite=finite)
     result.setflags(write=False)
@@ -280,12 +279,12 @@ def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
     return result
 
 
-def times(name: str, value: Any) -> np.ndarray:
+def times(name: str, value: Any) -> Array:
     """Finite times as floats, of any shape; () for one of them."""
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
 
 
-def times_inside(value: Any, nodes: np.ndarray) -> np.ndarray:
+def times_inside(value: Any, nodes: Array) -> Array:
     """Times between the ends of a run; one that misses a node by rounding is that node."""
     array, (start, end) = times("t", value), nodes[[0, -1]].tolist()
     slack = TIME_SLACK * max(abs(start), abs(end))
@@ -294,12 +293,6 @@ def times_inside(value: Any, nodes: np.ndarray) -> np.ndarray:
         raise InputError(f"t = {array[outside].flat[0]:g} is outside of [{start:g}, {end:g}]")
     nearest = nodes[np.minimum(np.searchsorted(nodes, array - slack), len(nodes) - 1)]
     return np.where(np.abs(nearest - array) <= slack, nearest, array)
-
-
-def is_finite(array: np.ndarray) -> bool:
-    """Whether all entries of a vector are finite."""
-    # the plain call: scaled, so that it neither overflows nor warns, and quick
-    return not array.size or math.isfinite(blas.dnrm2(array))
 
 
 def matrix(name: str, value: Any) -> Matrix:
@@ -349,7 +342,7 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
     return result
 
 
-def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
+def floats(name: str, value: Any, what: str, ndmin: int = 0) -> Array:
     """A float copy of value; complex and logical numbers and words are refused, not cast."""
     if type(value) is np.ndarray and value.dtype == float and value.ndim >= ndmin:
         return value.copy("K")  # as in every step

@@ -13,10 +13,11 @@ import tempfile
 import time as clock
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sweepopt import __version__
 from sweepopt.display import as_lines
@@ -29,7 +30,7 @@ from sweepopt.errors import (
     suggestion,
 )
 from sweepopt.integrate import SolveOptions, schemes
-from sweepopt.io import find_scene, folder_at, list_scenes, read_toml
+from sweepopt.io import find_scene, find_study, folder_at, list_scenes, read_toml
 from sweepopt.problem import Norms
 from sweepopt.velocity import Plan, solvers
 
@@ -41,10 +42,11 @@ DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written; or the
 results are in a temporary folder, as theirs is full."""
 
+TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"  # of a study
+
 EXTRAS = {
     "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
     "plot": ("matplotlib",),
-    "study": ("pandas", "threadpoolctl", "matplotlib", "plotly"),
 }
 """Packages whose absence would only show when a long run is over, by the extra that brings them."""
 
@@ -124,7 +126,7 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--scheduler", metavar="ADDRESS", help="of a running dask scheduler")
 
     compare = commands.add_parser("compare", help="all solvers on the programs of a scene")
-    compare.set_defaults(command=_study)
+    compare.set_defaults(command=_compare)
     compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
     compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
@@ -164,10 +166,55 @@ def _effects(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> int:
-    _require("study")
-    from sweepopt.study import commands
+    """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
+    from sweepopt import study as room
+    from sweepopt.study.hard import run_suite, suite_summary
+    from sweepopt.study.report import fastest_runs
+    from sweepopt.study.study import read_parts
 
-    (commands.study_command if "study" in options else commands.compare_command)(options)
+    path = find_study(options.study)
+    folder = options.out or Path("results") / path.stem
+    data, parts = read_parts(path)
+    table, solutions, files = None, {}, []
+    suites: dict[str, list[Any]] = {}
+    folder_at("--out", folder)
+    if not parts or data.keys() - {"title"}:
+        study = room.read_study(path)
+        executor: Any = nullcontext()
+        if options.scheduler is not None:
+            executor = room.dask_executor(options.scheduler)
+        elif options.workers is not None:
+            executor = room.processes(options.workers)
+        with executor as pool:
+            table = room.run(study, folder, executor=pool, progress=_note)
+        table.to_csv(folder / TABLE, index=False)
+        room.work_precision(table).figure.savefig(folder / DIAGRAM)
+        solutions = fastest_runs(study, table)
+        print(room.summary(table))
+        files += [TABLE, DIAGRAM]
+    for name, suite in parts.items():
+        # in this process, from the start: hard cases take some minutes a seed
+        lines = folder / f"{name}.csv"
+        suites[name] = run_suite(suite, lines, _note)
+        if suites[name]:
+            print(suite_summary(suites[name]))
+            files.append(lines.name)
+    title = str(data.get("title", path.stem))
+    room.write_report(table, folder / REPORT, solutions=solutions, title=title, **suites)
+    print(f"written: {folder}: {', '.join([*files, REPORT])}")
+    return DONE
+
+
+def _compare(options: argparse.Namespace) -> int:
+    """Compare all solvers on the programs of a scene."""
+    from sweepopt.study import compare, comparison_text, find_source
+
+    if options.csv is not None:
+        options.csv.touch()  # says so now if it cannot be written
+    table = compare(find_source(options.scene), steps=options.steps, progress=_note)
+    print(comparison_text(table))
+    if options.csv is not None:
+        table.to_csv(options.csv, index=False)
     return DONE
 
 
@@ -267,7 +314,11 @@ def _require(*extras: str) -> None:
 
 
 def _say(message: str) -> None:
-    print(f"sweepopt: {message}", file=sys.stderr)
+    _note(f"sweepopt: {message}")
+
+
+def _note(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

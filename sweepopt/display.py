@@ -1,7 +1,5 @@
 """Objects that show themselves: in a few lines at a prompt, with a small picture in a notebook."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from inspect import isroutine, signature

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import meaning, number, takes
+from sweepopt.checks import Array, meaning, number, takes
 from sweepopt.errors import (
     AccuracyError,
     InputError,
@@ -29,13 +29,12 @@ from sweepopt.errors import (
 )
 from sweepopt.integrate import (
     MEMORY,
+    STEPS,
     Adaptive,
     Callback,
     Checkpoint,
     CheckpointWriter,
     Grid,
-    Observer,
-    ProgressBar,
     Run,
     SaveFunction,
     SolveOptions,
@@ -50,6 +49,7 @@ from sweepopt.integrate import (
     integrate,
     newest,
     observer,
+    progress_bar,
     require_same_problem,
     saving,
     time_grid,
@@ -61,7 +61,6 @@ from sweepopt.velocity import Plan, compile_projection
 
 GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
 LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
-STEPS = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
 LONG = 1000  # times the given steps: without a word such a run seems to hang
 HOPELESS = 100 * STEPS  # by the order of the scheme, from the first grid, which may be too coarse
 
@@ -312,7 +311,7 @@ def _refine(
     return run(process, replace(options, steps=sol.t), callback, progress)
 
 
-def _with_bound(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: float) -> Solution:
+def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) -> Solution:
     """Run on finer and finer grids, each of which contains the one before, until the bound is met.
 
     Ctrl-C during a run returns its steps, Ctrl-C during a bound the run that it is of.
@@ -378,7 +377,7 @@ def _adapt(
     options = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
     run = _warning_once(_run)
 
-    def run_within(times: np.ndarray, tol: float) -> Solution:
+    def run_within(times: Array, tol: float) -> Solution:
         one = replace(options, steps=times, save=None, tol=min(tol, options.tol))
         return run(process, one, progress=progress)
 
@@ -431,33 +430,36 @@ def run_over(
 ) -> Solution:
     """Move u along the grid, and make a solution of the run."""
     recorded = writer.recorded if writer else []
-    bar = ProgressBar(progress, len(grid.mus), writer.done if writer else 0)
-    run, sink, succeeded = None, None, False
-    try:
-        watchers: list[Callable[[StepInfo], Any]] = []
-        if grid.saving.path:
-            start = float(grid.times[0]), process.u0, process.unknowns_digest
-            sink = NetCDFSink(grid.saving.path, *start)
-            watchers.append(sink.put)
-        if record := grid.saving.function:
-            watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
-        if callback:
-            watchers.append(callback)
-        observe = observer(bar, watchers, grid.plan, grid.times) if watchers or progress else None
-        run = _integrate(process, grid, observe, writer)
-        failed = run.status in (Status.INEXACT, Status.SWITCHING)
-        succeeded = not failed or options.on_failure == "stop"
-    finally:
-        bar.close()
-        if sink is not None:
-            sink.close(_solution(process, run, sink, recorded) if run and succeeded else None)
+    few, saved = grid.plan.process_of(process), grid.saving
+    run, sink, succeeded = Run(grid, few.u0), None, False
+    with progress_bar(progress, len(grid.mus), writer.done if writer else 0) as advance:
+        try:
+            watchers: list[Callable[[StepInfo], Any]] = []
+            if saved.path:
+                start = float(grid.times[0]), process.u0, process.unknowns_digest
+                sink = NetCDFSink(saved.path, *start)
+                watchers.append(sink.put)
+            if record := saved.function:
+                watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
+            if callback:
+                watchers.append(callback)
+            seen = advance or watchers
+            observe = observer(advance, watchers, grid.plan, grid.times) if seen else None
+            if writer:
+                writer.begin(run)  # from where a stored one is
+            integrate(few, grid.plan, run, observe, writer)
+            failed = run.status in (Status.INEXACT, Status.SWITCHING)
+            succeeded = not failed or options.on_failure == "stop"
+        finally:
+            if sink is not None:
+                sink.close(_solution(process, run, sink, recorded) if succeeded else None)
     if not succeeded:
         u = grid.plan.state(run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
     solution = _solution(process, run, sink, recorded)
     if sink is not None and (failure := sink.storage.failure):
         raise SaveError(
-            f"save: {grid.saving.path} cannot be written ({failure.strerror}), the run "
+            f"save: {saved.path} cannot be written ({failure.strerror}), the run "
             f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
             "Free the disk, name another file, or keep fewer steps in memory, save=k",
             solution,
@@ -476,26 +478,11 @@ def planned(process: SweepingProcess, options: SolveOptions) -> Grid:
     return Grid(times, mus, plan, saved)
 
 
-def _nearest(process: SweepingProcess, plan: Plan) -> Callable[[np.ndarray, ConvexSet], np.ndarray]:
+def _nearest(process: SweepingProcess, plan: Plan) -> Callable[[Array, ConvexSet], Array]:
     """The projection in the metric of A^-1 by the plan's solver, where the set has no fast one."""
     M = process.metric
     velocity = compile_projection(plan, M)
     return lambda w, C: w + M.M @ velocity(w, C).z
-
-
-def _integrate(
-    process: SweepingProcess,
-    grid: Grid,
-    observe: Observer | None,
-    writer: CheckpointWriter | None,
-) -> Run:
-    """The run over the grid, from its start or from where a stored one is."""
-    process = grid.plan.process_of(process)
-    run = Run(grid, process.u0)
-    if writer:
-        writer.begin(run)
-    integrate(process, grid.plan, run, observe, writer)
-    return run
 
 
 def _solution(

@@ -4,8 +4,6 @@ A file that cannot be read is an `InputError` that names the file, the place in 
 file that is written takes its place only when it is complete.
 """
 
-from __future__ import annotations
-
 import base64
 import csv
 import errno
@@ -23,14 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sweepopt.checks import Array
 from sweepopt.errors import CheckpointError, DamagedFileError, InputError, shown, suggestion
 
 if os.name == "posix":
     import fcntl
-
-Array = NDArray[np.float64]
 
 
 # ---- paths and text ----
@@ -355,7 +351,7 @@ def _force(path: Path, flags: int) -> None:
 def write_npz(
     path: Path,
     record: dict[str, Any],
-    arrays: Mapping[str, np.ndarray],
+    arrays: Mapping[str, Array],
     previous: Path | None = None,
 ) -> None:
     """Replace a file by an .npz of a record (plain JSON types) and of arrays of numbers.
@@ -367,7 +363,7 @@ def write_npz(
         np.savez(file, allow_pickle=False, **{"record": text, **arrays})
 
 
-def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """The record and the arrays that `write_npz` wrote; each has a checksum, the zip's own.
 
     Raises
@@ -395,7 +391,11 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             raise DamagedFileError(f"{path} is damaged or no file of ours: {error}") from error
 
 
-def versions_of(packages: Iterable[str]) -> dict[str, str]:
+PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
+"""Their versions may change the last bits of a result, and its time."""
+
+
+def versions_of(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
     """The versions of Python, of those that are installed, and of the library."""
     versions = {"python": platform.python_version()}
     for name in packages:

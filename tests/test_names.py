@@ -52,19 +52,24 @@ def test_solve_is_the_function_whatever_is_imported_before():
     assert "function" in fresh("import sweepopt.driver, sweepopt; print(sweepopt.solve)")
 
 
-def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone():
-    code = """if True:
+@pytest.mark.parametrize("package, extra", [("skfem", "fem"), ("plotly", "study")])
+def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone(package, extra):
+    code = f"""if True:
         import sys, pydoc
-        sys.modules["skfem"] = None
+        sys.modules["{package}"] = None
         import sweepopt as so
-        assert not hasattr(so, "fem")
+        assert not hasattr(so, "{extra}")
         pydoc.render_doc(so)
         try:
-            so.fem
+            so.{extra}
         except AttributeError as error:
             print(error)
+        from sweepopt.cli import main
+        main(["study", "no.toml"] if "{extra}" == "study" else ["run", "tube"])
     """
-    assert fresh(code).startswith("skfem is not installed; run: ")
+    shown = python(code)
+    for words in (shown.stdout, shown.stderr.removeprefix("sweepopt: ")):
+        assert words.startswith(f"{package} is not installed; run: ")
 
 
 def test_scenes_are_listed_and_read_by_name():

@@ -14,8 +14,8 @@ from sweepopt.checks import public
 from sweepopt.errors import brought_by
 
 with brought_by("fem"):
-    import meshio  # noqa: F401
-    import skfem  # noqa: F401
+    import meshio
+    import skfem
 
 from sweepopt.fem.contact import Contact, Rows, Yield
 from sweepopt.fem.effect_costs import compare_effects

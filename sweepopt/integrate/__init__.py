@@ -1,9 +1,7 @@
 """Time stepping: schemes, the loop over time, what is kept of it, adaptive steps (MATH 3)."""
 
-from __future__ import annotations
-
 from sweepopt.checks import MEMORY
-from sweepopt.integrate.adaptive import adapt, first_grid
+from sweepopt.integrate.adaptive import STEPS, adapt, first_grid
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     CheckpointWriter,
@@ -29,11 +27,11 @@ from sweepopt.integrate.grid import (
 from sweepopt.integrate.loop import (
     Callback,
     Observer,
-    ProgressBar,
     SaveFunction,
     StepInfo,
     integrate,
     observer,
+    progress_bar,
 )
 from sweepopt.integrate.options import Adaptive, SolveOptions
 from sweepopt.integrate.record import (
@@ -48,49 +46,3 @@ from sweepopt.integrate.record import (
 )
 from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler
 from sweepopt.integrate.step import BY_EULER, Velocities, combination, compensated_sum
-
-__all__ = [
-    "BY_EULER",
-    "MEMORY",
-    "ROW",
-    "SCHEMES",
-    "Adaptive",
-    "Callback",
-    "Checkpoint",
-    "CheckpointWriter",
-    "Grid",
-    "Index",
-    "Observer",
-    "Pass",
-    "ProgressBar",
-    "Run",
-    "SaveFunction",
-    "Scheme",
-    "SolveOptions",
-    "States",
-    "Statistics",
-    "StepInfo",
-    "StoredRun",
-    "Trajectory",
-    "Velocities",
-    "adapt",
-    "check_stability",
-    "checkpoint_writer",
-    "combination",
-    "compatible_start",
-    "compensated_sum",
-    "differences",
-    "divided",
-    "fingerprint",
-    "first_grid",
-    "implicit_euler",
-    "integrate",
-    "newest",
-    "observer",
-    "program_of_stage",
-    "require_same_problem",
-    "saving",
-    "step_program",
-    "time_grid",
-    "velocity_field",
-]

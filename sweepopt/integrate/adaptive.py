@@ -15,29 +15,25 @@ To the loop over time an adaptive grid is a grid as any other. Each segment betw
 in equal parts that are halved again and again, so that steps share their programs.
 """
 
-from __future__ import annotations
-
 import math
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, axes, number, vector
+from sweepopt.checks import TIME_SLACK, Array, axes, number, vector
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.integrate.grid import breakpoints_to_meet
+from sweepopt.integrate.options import Adaptive
 from sweepopt.integrate.record import Pass, States
+from sweepopt.integrate.schemes import Scheme
 from sweepopt.linalg import EPS
 from sweepopt.loads import History, Sine, Triangle
 from sweepopt.problem import SweepingProcess, histories_of, squares
 
-if TYPE_CHECKING:
-    from sweepopt.integrate.options import Adaptive
-    from sweepopt.integrate.schemes import Scheme
-
-STEPS = 1_000_000  # of the finest pass: hours
+STEPS = 1_000_000  # of the finest pass, or grid: hours, and 16 MB of states of one unknown
 FIRST = 16  # steps of the first pass, twice as many where nothing but values of the load are known
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # steps cut in this ratio fall into step with no period
 PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
@@ -52,13 +48,13 @@ ADVICE = (
     "met exactly) or loosen the tolerance"
 )
 
-Runs = Callable[[np.ndarray, float], Any]
+Runs = Callable[[Array, float], Any]
 """Times and a bound of the programs' tol -> Solution."""
 
 
 def first_grid(
     steps: Adaptive, process: SweepingProcess, t_end: Any, scheme: Scheme, save: Any
-) -> np.ndarray:
+) -> Array:
     """The coarsest grid of a run.
 
     It contains breakpoints, of dense tables only the points where they turn, and the times that are
@@ -101,12 +97,10 @@ def first_grid(
         sizes = np.repeat(np.diff(cuts) / counts, counts)
         odd = np.arange(sizes.size) % 2
         grid = np.append(grid, grid + np.where(odd, 1 - share, share) * sizes)
-    return np.asarray(np.sort(np.append(grid, cuts[-1])))
+    return np.sort(np.append(grid, cuts[-1]))
 
 
-def adapt(
-    run: Runs, process: SweepingProcess, steps: Adaptive, times: np.ndarray
-) -> tuple[Any, str]:
+def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) -> tuple[Any, str]:
     """The run over the first grid with a small estimated error, and why there is none.
 
     Ctrl-C during a pass returns its steps, Ctrl-C between two passes the one before.
@@ -170,7 +164,7 @@ def _first_steps(sol: Any, k: int) -> Any:
     return replace(sol, t=sol.t[: k + 1], states=states, statistics=statistics)
 
 
-def _noted(run: Runs, times: np.ndarray, tol: float) -> Any:
+def _noted(run: Runs, times: Array, tol: float) -> Any:
     """The run, with a note on what a user's function raised."""
     try:
         return run(times, tol)
@@ -183,7 +177,7 @@ def _noted(run: Runs, times: np.ndarray, tol: float) -> Any:
         raise
 
 
-def _leading(process: SweepingProcess, sol: Any) -> np.ndarray:
+def _leading(process: SweepingProcess, sol: Any) -> Array:
     """|z^(r)| in each step and its floor.
 
     Differences are taken across breakpoints too: a motion that stops in the first step after one,
@@ -199,7 +193,7 @@ def _leading(process: SweepingProcess, sol: Any) -> np.ndarray:
     return leading + mean ** (r + 1)
 
 
-def _refined(times: np.ndarray, leading: np.ndarray, r: int, total: float) -> np.ndarray:
+def _refined(times: Array, leading: Array, r: int, total: float) -> Array:
     """The grid, its steps halved until no local error is above the largest allowed one, where these
     are `total` in sum.
     """
@@ -236,7 +230,7 @@ def _failure(tol: float, rounding: float, wanted: float, passes: list[Pass]) -> 
     return ""
 
 
-def _apart(cuts: np.ndarray) -> np.ndarray:
+def _apart(cuts: Array) -> Array:
     """Increasing; breakpoints that differ by rounding are one."""
     cuts = np.unique(cuts)
     distinct = cuts[np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])]

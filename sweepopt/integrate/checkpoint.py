@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import count, number
+from sweepopt.checks import Array, count, number
 from sweepopt.display import evenly
 from sweepopt.errors import (
     CheckpointError,
@@ -52,8 +52,6 @@ if TYPE_CHECKING:
     from sweepopt.integrate.record import Grid, Run
 
 SCHEMA = 6  # of the file: one more for each change of what it holds
-PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
-"""Their versions may change the last bits of a result."""
 WRITES = 100  # of a run, at whose ends it may be written down if nobody says how many steps
 SECONDS = 10.0  # between two files, if nobody says how many
 SAMPLES = 256  # times at which functions of time are compared
@@ -124,12 +122,12 @@ class StoredRun(NamedTuple):
 
     file: Path
     record: dict[str, Any]
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, Array]
 
     @property
     def done(self) -> int:
         """How many steps were done."""
-        return int(self.record["run"]["done"])
+        return self.record["run"]["done"]
 
 
 def newest(checkpoint: Checkpoint) -> StoredRun:
@@ -180,7 +178,7 @@ def _read(file: Path) -> StoredRun:
     return StoredRun(file, record, arrays)
 
 
-def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.ndarray) -> None:
+def require_same_problem(stored: StoredRun, process: SweepingProcess, times: Array) -> None:
     """Refuse a checkpoint of another problem, and warn of other versions."""
     if differ := differences(stored.record["problem"], process, times):
         raise InputError(
@@ -199,7 +197,7 @@ def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.
 
 
 def _versions() -> dict[str, str]:
-    return {"machine": platform.machine(), **versions_of(PACKAGES)}
+    return {"machine": platform.machine(), **versions_of()}
 
 
 # ---- writing ------------------------------------------------------------------------------------
@@ -211,7 +209,7 @@ def checkpoint_writer(
     process: SweepingProcess,
     grid: Grid,
     options: SolveOptions,
-    stored: StoredRun | None = None,
+    stored: StoredRun | None,
 ) -> Iterator[CheckpointWriter | None]:
     """Read the argument `checkpoint` of solve; `stored` is the run that is continued.
 
@@ -356,7 +354,7 @@ def _require_free(checkpoint: Checkpoint) -> None:
 # ---- what defines a problem ---------------------------------------------------------------------
 
 
-def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
+def fingerprint(process: SweepingProcess, times: Array) -> dict[str, str]:
     """sha256 of A, B, u0 and C(t), part by part, so that one can say which part differs.
 
     Of C(t) the data; a function of time is compared by its values at up to SAMPLES of the times.
@@ -379,7 +377,7 @@ def _sha256(values: Iterable[Any]) -> str:
     return digest.hexdigest()
 
 
-def differences(began: Mapping[str, str], process: SweepingProcess, times: np.ndarray) -> list[str]:
+def differences(began: Mapping[str, str], process: SweepingProcess, times: Array) -> list[str]:
     """The parts of a process that are not those of the fingerprint of another at these times."""
     now = fingerprint(process, times)
     return [name for name in now if began.get(name) != now[name]]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import count, instant, number, tolerance, vector, with_checks
+from sweepopt.checks import Array, count, instant, number, tolerance, vector, with_checks
 from sweepopt.errors import InputError, VelocityError, shown
 from sweepopt.integrate.schemes import SCHEMES, Scheme, choose
 from sweepopt.integrate.step import Velocities, combination
@@ -21,7 +21,7 @@ from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.sets import ConvexSet, image
 from sweepopt.velocity import StateVelocity, StepProgram, compile_velocity, make_plan
 
-Field = Callable[[float, Any], np.ndarray]
+Field = Callable[[float, Any], Array]
 FIRST_STAGE = SCHEMES["trapezoid"]  # its first stage is this velocity
 
 
@@ -96,7 +96,7 @@ def velocity_field(
         solve = compiled(0.0, start)
 
     @with_checks
-    def velocity(t: float, u: Any) -> np.ndarray:
+    def velocity(t: float, u: Any) -> Array:
         nonlocal solve
         t, u = instant("t", t), vector("u", u, process.dim)
         C = process.set_at(t, u)
@@ -116,7 +116,7 @@ def velocity_field(
     return velocity
 
 
-def compatible_start(process: SweepingProcess | EvolutionVI, t: float = 0.0) -> np.ndarray:
+def compatible_start(process: SweepingProcess | EvolutionVI, t: float = 0.0) -> Array:
     """The state to which u0 jumps at t where A is singular: A z + B u is in C(t) for some z.
 
     It is u0 + v for the v in the kernel of A with <B (u0 + v), y - v> + J(y) - J(v) >= 0 for all y

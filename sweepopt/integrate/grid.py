@@ -1,23 +1,19 @@
 """When: the grid of times, where a scheme looks at C(t), and which steps it may take."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, axes, count, number, vector
+from sweepopt.checks import TIME_SLACK, Array, axes, count, number, vector
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
 from sweepopt.linalg import EPS
 from sweepopt.loads import Constant, History, breakpoints
 from sweepopt.problem import SweepingProcess, histories_of, motion
-
-if TYPE_CHECKING:
-    from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan
 
 MOST = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""
@@ -36,7 +32,7 @@ LARGE, OF_LARGE = 500, 0.1
 (992 unknowns) to 30 (10,100), and with 0.2 a finer grid of as long a run had the smaller error."""
 
 
-def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
+def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
     """The times, t_0 + i mu or the user's own, and the step sizes.
 
     Steps that differ by the rounding of the times only get one size: they share a program.
@@ -74,13 +70,13 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     return times, np.where(np.abs(mean - mus) <= 2 * rounding, mean, mus)
 
 
-def divided(times: np.ndarray, parts: int) -> np.ndarray:
+def divided(times: Array, parts: int) -> Array:
     """The grid with each step cut into equal parts."""
     inner = times[:-1, None] + np.diff(times)[:, None] * np.arange(parts) / parts
     return np.append(inner.ravel(), times[-1])
 
 
-def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> np.ndarray:
+def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> Array:
     """Those that steps shall meet, increasing: of a dense table only those where it turns.
 
     A sine in a table of 3,000 points took 18,006 adaptive steps with all of them, and 499 so
@@ -94,7 +90,7 @@ def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> np.ndar
     return np.unique(np.concatenate([np.empty(0), *points]))
 
 
-def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: np.ndarray) -> Plan:
+def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: Array) -> Plan:
     """The plan for these times with the breakpoints of the load in steps, unless they are too many.
 
     One at a node up to rounding is in no step. C(t) is checked at the others, too.
@@ -114,7 +110,7 @@ def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: np.ndarray)
     return replace(plan, breakpoints=points)
 
 
-def by_steps(points: np.ndarray, times: np.ndarray) -> dict[int, list[float]]:
+def by_steps(points: Array, times: Array) -> dict[int, list[float]]:
     """The points in each step that has some."""
     steps: dict[int, list[float]] = {}
     for step, point in zip(np.searchsorted(times, points) - 1, points, strict=True):
@@ -122,7 +118,7 @@ def by_steps(points: np.ndarray, times: np.ndarray) -> dict[int, list[float]]:
     return steps
 
 
-def evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
+def evaluation_times(times: Array, mus: Array, scheme: Scheme) -> Array:
     """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
     stages = times[:-1, None] + mus[:, None] * np.array(scheme.times)
     return np.unique(np.append(times, np.minimum(stages, times[1:, None])))

@@ -3,16 +3,15 @@
 t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
 """
 
-from __future__ import annotations
-
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import blas
 
-from sweepopt.checks import HUGE
+from sweepopt.checks import HUGE, Array
 from sweepopt.display import by_parts
 from sweepopt.errors import InputError, Status, brought_by, result_of, shown
 from sweepopt.integrate.exact import exact_steps
@@ -29,7 +28,7 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ROUNDING
 from sweepopt.velocity import Plan, Velocity
 
-Observer = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
+Observer = Callable[[int, Array, Array, float], "bool | None"]
 """Sees a step's number, state, velocity and certificate; a true value stops the run."""
 Restarts = Callable[[Run], bool]
 """Whether programs shall forget the steps so far, as those of a run that goes on from there do."""
@@ -41,7 +40,6 @@ def integrate(
     run: Run,
     observer: Observer | None = None,
     restarts: Restarts | None = None,
-    velocities: Velocities | None = None,
 ) -> None:
     """Move u along the grid of `run` from where it is, and write every step into it.
 
@@ -54,12 +52,10 @@ def integrate(
     process : SweepingProcess
         That of the unknowns which enter the steps (`Plan.process_of`).
     plan : Plan
-    velocities : Velocities, optional
-        The compiled programs of an earlier run of the same process.
     """
     mus, steps = run.grid.mus, run.steps
     starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
-    velocities = velocities or Velocities(process, plan)
+    velocities = Velocities(process, plan)
     take = exact_steps(process, plan, run) if plan.scheme.exact else velocities.step
     within = by_steps(plan.breakpoints, run.grid.times)
     limit = _largest_state(process, plan.scheme)
@@ -155,8 +151,8 @@ class StepInfo(NamedTuple):
 
     step: int
     t: float
-    u: np.ndarray
-    velocity: np.ndarray
+    u: Array
+    velocity: Array
     certificate: float
 
     def __repr__(self) -> str:
@@ -164,47 +160,41 @@ class StepInfo(NamedTuple):
 
 
 Callback = Callable[[StepInfo], "bool | None"]
-SaveFunction = Callable[[float, np.ndarray, np.ndarray], Any]
+SaveFunction = Callable[[float, Array, Array], Any]
 
 
-class ProgressBar:
-    """A progress bar, or nothing where `visible` is false.
+@contextmanager
+def progress_bar(visible: bool, steps: int, done: int) -> Iterator[Callable[[], Any] | None]:
+    """What moves a bar by a step; None where it shall not be seen.
 
     Raises
     ------
     MissingExtraError
         If tqdm is not installed.
     """
-
-    def __init__(self, visible: bool, steps: int | None, done: int = 0) -> None:
-        self._bar: Any = None
-        if visible:
-            with brought_by("fem"):
-                from tqdm.auto import tqdm
-            self._bar = tqdm(total=steps, initial=done, unit="step")
-
-    def update(self) -> None:
-        if self._bar is not None:
-            self._bar.update()
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
+    if not visible:
+        yield None
+        return
+    with brought_by("fem"):
+        from tqdm.auto import tqdm
+    with tqdm(total=steps, initial=done, unit="step") as bar:
+        yield bar.update
 
 
 def observer(
-    bar: ProgressBar,
+    advance: Callable[[], Any] | None,
     watchers: Sequence[Callable[[StepInfo], Any]],
     plan: Plan,
-    times: np.ndarray,
+    times: Array,
 ) -> Observer:
-    """What the loop calls after each step: the bar, then the watchers, who see all unknowns.
+    """What the loop calls after each step: a bar, then the watchers, who see all unknowns.
 
     A watcher that answers with a true value stops the run.
     """
 
-    def observe(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool:
-        bar.update()
+    def observe(i: int, u: Array, z: Array, certificate: float) -> bool:
+        if advance is not None:
+            advance()
         if not watchers:
             return False
         u, z = plan.state(u).copy(), plan.velocity(z).copy()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import MEMORY, choice, meaning, number, tolerance
+from sweepopt.checks import MEMORY, Array, choice, meaning, number, tolerance
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.grid import (
     contraction,
@@ -118,9 +118,7 @@ class SolveOptions:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
         return scheme
 
-    def plan(
-        self, process: SweepingProcess, scheme: Scheme, times: np.ndarray, mus: np.ndarray
-    ) -> Plan:
+    def plan(self, process: SweepingProcess, scheme: Scheme, times: Array, mus: Array) -> Plan:
         """How the process is simulated; C(t) is checked at all times that are asked for."""
         for history in histories_of(process.C, inside=False):
             if isinstance(history, Table):
@@ -129,7 +127,8 @@ class SolveOptions:
         plan = make_plan(process, members, scheme, self.solver, self.tol, self.path)
         plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))
         reduction = plan.reduction if self.path == "auto" else None
-        if reduction and not reduction.suits(mus, scheme, self.tol):
+        gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
+        if reduction and not (scheme.exact or reduction.suits(gamma, span, self.tol)):
             reason = "proportional path: steps differ so much that short ones would be rounding"
             plan = replace(plan, reduction=None, left_out=(*plan.left_out, reason))
         return meeting_breakpoints(process, plan, times) if self.scheme == "auto" else plan

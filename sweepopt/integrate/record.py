@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, axes, takes, vector
+from sweepopt.checks import TIME_SLACK, Array, axes, takes, vector
 from sweepopt.display import by_parts
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.io import writable
@@ -38,9 +38,9 @@ class States(NamedTuple):
         The velocities of the kept steps i; step i ends at node i + 1.
     """
 
-    steps: np.ndarray
-    u: Callable[[Index], np.ndarray]
-    velocity: Callable[[Index], np.ndarray]
+    steps: Array
+    u: Callable[[Index], Array]
+    velocity: Callable[[Index], Array]
 
     def __repr__(self) -> str:
         return by_parts(self)
@@ -54,13 +54,13 @@ ROW = np.dtype({"names": COLUMNS, "formats": ["f8", "f4", "i4", "i4", "f8", "f8"
 class Statistics(NamedTuple):
     """The statistics of n steps: rows of type ROW, names of solvers."""
 
-    rows: np.ndarray
+    rows: Array
     solvers: tuple[str, ...]
 
     def __repr__(self) -> str:
         return by_parts(self)
 
-    def table(self) -> np.ndarray:
+    def table(self) -> Array:
         """A structured array with full numbers and the names themselves, shape (n,)."""
         names = np.array([*self.solvers, ""])
         kinds = [int if ROW[name].kind == "i" else float for name in COLUMNS[:-1]]
@@ -82,8 +82,8 @@ class Saving(NamedTuple):
         A NetCDF file for the states of all steps.
     """
 
-    steps: np.ndarray
-    function: Callable[[float, np.ndarray, np.ndarray], Any] | None = None
+    steps: Array
+    function: Callable[[float, Array, Array], Any] | None = None
     path: Path | None = None
 
 
@@ -115,8 +115,8 @@ class Grid(NamedTuple):
     saving : Saving
     """
 
-    times: np.ndarray
-    mus: np.ndarray
+    times: Array
+    mus: Array
     plan: Plan
     saving: Saving
 
@@ -137,7 +137,7 @@ class Step(NamedTuple):
 
     velocity: Velocity
     cause: str = ""
-    end: np.ndarray | None = None
+    end: Array | None = None
 
 
 class Run:
@@ -159,7 +159,7 @@ class Run:
         The dense trajectory of the scheme "exact".
     """
 
-    def __init__(self, grid: Grid, u0: np.ndarray) -> None:
+    def __init__(self, grid: Grid, u0: Array) -> None:
         self.grid, self._saved_steps = grid, grid.saving.steps
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.exact: Trajectory | None = None
@@ -184,18 +184,16 @@ class Run:
         return self._last[0]
 
     @property
-    def u(self) -> np.ndarray:
+    def u(self) -> Array:
         """The last state."""
         return self._last[2]
 
     @property
-    def compensation(self) -> np.ndarray:
+    def compensation(self) -> Array:
         """What rounding has kept out of the last state (`compensated_sum`)."""
         return self._last[4]
 
-    def add(
-        self, u: np.ndarray, velocity: Velocity, seconds: float, compensation: Any = 0.0
-    ) -> None:
+    def add(self, u: Array, velocity: Velocity, seconds: float, compensation: Any = 0.0) -> None:
         """Take the next step: the state at its end, its mean velocity with what is known of it."""
         i, k, *_ = self._last
         z, certificate, relative, solver, iterations, attempts, _ = velocity
@@ -234,7 +232,7 @@ class Run:
             return ""
         return f"{steps} step{'s' * (steps > 1)} missed tol as a whole and met it in equal parts."
 
-    def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def store(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """All that `restore` needs, in terms of JSON and in arrays."""
         done, k, *last = self._last
         plain = {
@@ -250,7 +248,7 @@ class Run:
             "last": np.array(last),
         }
 
-    def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+    def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
         """Take the first steps from what an earlier run has stored."""
         self.status = Status[plain["status"]]
         self._solvers = {name: number for number, name in enumerate(plain["solvers"])}
@@ -264,7 +262,7 @@ class Run:
 # ---- what is kept -------------------------------------------------------------------------------
 
 
-def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
+def saving(save: Any, times: Array, dim: int, memory: float) -> Saving:
     """Read the argument `save` of solve for a run over `times`.
 
     Parameters
@@ -312,7 +310,7 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
     return Saving(steps, save if callable(save) else None, path)
 
 
-def _steps_ending_at(saved: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _steps_ending_at(saved: Array, times: Array) -> Array:
     """The steps that end at the times to be saved; the start always is."""
     after = np.clip(np.searchsorted(times, saved), 1, len(times) - 1)
     nearest = after - (saved - times[after - 1] < times[after] - saved)

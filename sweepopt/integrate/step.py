@@ -7,8 +7,6 @@ tolerance: then u moves through parts of it as through steps, and the result is 
 grid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -17,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.errors import IndefiniteError, InputError, TouchingError
 from sweepopt.integrate.record import Step
 from sweepopt.integrate.schemes import RESOLVED, Scheme, implicit_euler
@@ -58,7 +57,7 @@ class Velocities:
         for velocity in self._compiled.values():
             velocity.forget()
 
-    def step(self, t: float, mu: float, u: np.ndarray, *breakpoints: float) -> Step:
+    def step(self, t: float, mu: float, u: Array, *breakpoints: float) -> Step:
         """A step of the plan's scheme that meets its tolerance, if there is one.
 
         First in the parts between the breakpoints, if there are any. Their matrices, one for each
@@ -76,9 +75,7 @@ class Velocities:
                 return Step(mean)
         whole, cause = self._mean(t, mu, u), ""
         work.append(whole)
-        if not whole.relative > self._plan.tol:
-            return Step(_mean((1.0,), [whole], work))
-        for count in PARTS:
+        for count in PARTS if whole.relative > self._plan.tol else ():
             h = mu / count
             starts = t + h * np.arange(count)
             try:
@@ -92,9 +89,7 @@ class Velocities:
                 return Step(mean)
         return Step(_mean((1.0,), [whole], work), cause)
 
-    def _in_parts(
-        self, starts: np.ndarray, sizes: np.ndarray, u: np.ndarray, work: Stages
-    ) -> Velocity | None:
+    def _in_parts(self, starts: Array, sizes: Array, u: Array, work: Stages) -> Velocity | None:
         """The mean velocity of a step in parts; None where one misses the tolerance."""
         compensation, means = np.zeros_like(u), []
         for start, h in zip(starts.tolist(), sizes.tolist(), strict=True):
@@ -106,7 +101,7 @@ class Velocities:
         mean = _mean((sizes / sizes.sum()).tolist(), means, work)
         return mean._replace(solver=f"{mean.solver}/{len(means)}")
 
-    def _mean(self, t: float, mu: float, u: np.ndarray) -> Velocity:
+    def _mean(self, t: float, mu: float, u: Array) -> Velocity:
         """The mean velocity of a step of the scheme, or of its steps of implicit Euler.
 
         These are taken in stiff steps where unknowns rest or turn back in the last stage that have
@@ -135,7 +130,7 @@ class Velocities:
         scheme: Scheme,
         t: float,
         mu: float,
-        u: np.ndarray,
+        u: Array,
         first: Sequence[Velocity] = (),
         sets: Sequence[ConvexSet | None] = (),
     ) -> Stages:
@@ -150,13 +145,12 @@ class Velocities:
             start = u + mu * combination(weights[:-1], stages) if stages else u
             try:
                 stages.append(self._stage(mu * weights[-1], t + c * mu, start, C))
-            except TouchingError:
-                return [Velocity(np.zeros_like(u), math.inf, math.inf, "none", attempts=1)]
-            except IndefiniteError:
-                return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
+            except (TouchingError, IndefiniteError) as error:
+                solver = INDEFINITE if isinstance(error, IndefiniteError) else "none"
+                return [Velocity(np.zeros_like(u), math.inf, math.inf, solver, attempts=1)]
         return stages
 
-    def _stage(self, gamma: float, t: float, u: np.ndarray, C: ConvexSet | None = None) -> Velocity:
+    def _stage(self, gamma: float, t: float, u: Array, C: ConvexSet | None = None) -> Velocity:
         """The velocity z of the state u + gamma z, where C depends on it by fixed-point iteration.
 
         z_{k+1} is the velocity of C(t, u + gamma z_k), z_0 = 0.
@@ -207,7 +201,7 @@ def compensated_sum(u: Any, increment: Any, compensation: Any) -> tuple[Any, Any
     return total, (total - u) - increment
 
 
-def combination(weights: Sequence[float], velocities: Stages) -> np.ndarray:
+def combination(weights: Sequence[float], velocities: Stages) -> Array:
     """sum of weights_k z_k; a single weight 1 keeps z itself."""
     if weights == (1.0,):
         return velocities[0].z

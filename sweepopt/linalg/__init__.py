@@ -1,7 +1,5 @@
 """Symmetric positive definite matrices: factorised, bounded, and with few unknowns left."""
 
-from __future__ import annotations
-
 from sweepopt.linalg.cholesky import InBlocks, factorised
 from sweepopt.linalg.eigenvalues import is_semidefinite, kernel, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
@@ -17,27 +15,3 @@ from sweepopt.linalg.matrices import (
 )
 from sweepopt.linalg.ordering import is_solid
 from sweepopt.linalg.twice_precision import Precise, exact_sum, product_error
-
-__all__ = [
-    "EPS",
-    "NEGLIGIBLE",
-    "UNIT",
-    "Elimination",
-    "Factor",
-    "InBlocks",
-    "Precise",
-    "dense",
-    "euclidean",
-    "exact_sum",
-    "factor_bytes",
-    "factorised",
-    "is_diagonal",
-    "is_semidefinite",
-    "is_solid",
-    "kernel",
-    "largest_eigenvalue",
-    "largest_ratio",
-    "product_error",
-    "rounding_weights",
-    "row_lengths",
-]

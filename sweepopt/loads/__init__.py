@@ -5,8 +5,6 @@ load's few shapes. A black-box callable has neither, so histories here are small
 their exact variation and their breakpoints, and `Separable` keeps shapes and histories apart.
 """
 
-from __future__ import annotations
-
 from sweepopt.loads.history import (
     Constant,
     History,
@@ -20,19 +18,3 @@ from sweepopt.loads.history import (
 )
 from sweepopt.loads.separable import Separable
 from sweepopt.loads.table import Table, VectorTable, check_points
-
-__all__ = [
-    "Constant",
-    "History",
-    "Modulated",
-    "Piece",
-    "Polynomial",
-    "Separable",
-    "Sine",
-    "Slope",
-    "Table",
-    "Triangle",
-    "VectorTable",
-    "breakpoints",
-    "check_points",
-]

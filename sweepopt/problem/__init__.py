@@ -1,7 +1,5 @@
 """The two problems of the theory, how C(t) moves as data, and the norms of a process (MATH 1)."""
 
-from __future__ import annotations
-
 from sweepopt.problem.motion import (
     ONE,
     Motion,
@@ -21,19 +19,3 @@ from sweepopt.problem.process import (
     proportion,
     sweeping,
 )
-
-__all__ = [
-    "ONE",
-    "EvolutionVI",
-    "Motion",
-    "Norms",
-    "SweepingProcess",
-    "Terms",
-    "TimeFunction",
-    "applied",
-    "histories_of",
-    "motion",
-    "proportion",
-    "squares",
-    "sweeping",
-]

@@ -6,12 +6,20 @@ write_report(table, "report.html")                             # its page
 compare(find_source("tube"))                                   # all solvers on a run's programs
 """
 
+from sweepopt.errors import brought_by
+
+with brought_by("study"):
+    import matplotlib
+    import pandas
+    import plotly
+    import threadpoolctl
+
+from sweepopt.study.cell import machine
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.problems import find_source
 from sweepopt.study.report import advice, halving, summary, write_report
-from sweepopt.study.study import Study, read_study, read_table, run
-from sweepopt.study.workers import dask_executor, machine, processes
+from sweepopt.study.study import Study, dask_executor, processes, read_study, read_table, run
 
 __all__ = [
     "Study",

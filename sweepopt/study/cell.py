@@ -6,21 +6,27 @@ An error is measured against exact states, or against a fine run that knows its 
 from __future__ import annotations
 
 import gc
+import os
+import platform
+import re
 import time as clock
 import warnings
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from math import inf, nan
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from sweepopt.checks import Array
 from sweepopt.driver import solve
 from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning
+from sweepopt.io import versions_of
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.study.problems import Source, from_coarser, open_source
-from sweepopt.study.workers import machine, one_thread
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
 REFINED = 16
@@ -146,11 +152,11 @@ class Reference(NamedTuple):
         Why there are none, a sentence.
     """
 
-    u: np.ndarray = np.empty(0)
+    u: Array = np.empty(0)
     uncertainty: float = inf
     message: str = ""
 
-    def error(self, process: SweepingProcess, u: np.ndarray) -> float:
+    def error(self, process: SweepingProcess, u: Array) -> float:
         """The error of states on the nodes; nan if the reference's own is not far below."""
         if len(u) != len(self.u):
             return nan
@@ -193,7 +199,7 @@ def reference_states(
     return Reference(fine, largest_norm(process, fine[:: 2 // min(save, 2)] - coarse))
 
 
-def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
+def largest_norm(process: SweepingProcess, u: Array) -> float:
     """sup over the nodes of |u_i|_A, of |.|_B where A = 0."""
     return max(map(process.metric.norm, u))
 
@@ -213,7 +219,7 @@ def run_cell(cell: Cell, finest: Source) -> CellRow:
         warnings.simplefilter("always")
         try:
             solution_of(cell)  # packages are imported, the problem is assembled, caches are filled
-            with one_thread():
+            with threadpool_limits(1):
                 row = _measure(cell, finest)
         except Exception as error:  # whatever it is, the table has it
             return cell.failed(error)._replace(machine=machine())
@@ -278,3 +284,24 @@ def guaranteed_bound(solution: Solution) -> float:
         bound = solution.error_bound()
         return bound if bound.guaranteed else nan
     return nan
+
+
+# ---- what computes ----
+
+
+@cache
+def machine() -> str:
+    """Processor, threads and versions, in one line.
+
+    Examples
+    --------
+    >>> "numpy" in machine()
+    True
+    """
+    cpuinfo = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
+    name, *_ = *names, platform.processor()
+    threads = os.environ.get("OMP_NUM_THREADS", "unset")
+    packages = ", ".join(map(" ".join, versions_of().items()))
+    system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
+    return f"{name}, {system}; {packages}"

@@ -6,8 +6,6 @@ certificate of the answer, computed from the data, is within the accuracy asked 
 says of itself does not count.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import time as clock
@@ -15,17 +13,18 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from math import inf, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from pandas import DataFrame, concat
+from threadpoolctl import threadpool_limits
 
-from sweepopt.checks import count
+from sweepopt.checks import Array, count
 from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
 from sweepopt.study.problems import Source, open_source
-from sweepopt.study.workers import one_thread
 from sweepopt.velocity import (
     DAQP,
     OSQP,
@@ -38,9 +37,6 @@ from sweepopt.velocity import (
     certify,
     installed,
 )
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 FORMAT: dict[str, Any] = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
 """Of tables that are printed, by pandas."""
@@ -56,7 +52,7 @@ x best   of those that solved all programs at that accuracy
 median, worst   relative certificates of the solver's own answers, not refined"""
 
 
-Program = tuple[VelocityProgram, np.ndarray, ConvexSet]
+Program = tuple[VelocityProgram, Array, ConvexSet]
 """A velocity program of a run, with its q and C."""
 
 
@@ -97,17 +93,15 @@ def compare(
     InputError
         If no step of the run has a program: nothing moves, there is a formula, or it is linear.
     """
-    import pandas as pd
-
     programs = record(source, count("steps", steps))
     _, q, C = programs[0]
     progress(f"{source.name}: {len(programs)} programs of {q.size} unknowns")
     parts = []
     for setting, solver in solvers_for(C):
         progress(f"{solver.name} {setting}")
-        part = pd.DataFrame(trials(solver, programs))
+        part = DataFrame(trials(solver, programs))
         parts.append(part.assign(solver=solver.name, setting=setting, accuracy=ACCURACIES[setting]))
-    tried = pd.concat(parts)
+    tried = concat(parts)
     tried["solved"] = tried.certificate <= tried.accuracy
     tried["time"] = tried.seconds.where(tried.solved, tried.seconds.max())
     table = tried.groupby(["solver", "setting", "accuracy"], sort=False, as_index=False).agg(
@@ -144,7 +138,7 @@ def record(source: Source, steps: int) -> list[Program]:
         def compile(self, program: VelocityProgram) -> Solve:
             answer = super().compile(program)
 
-            def noted(q: np.ndarray, C: ConvexSet) -> Any:
+            def noted(q: Array, C: ConvexSet) -> Any:
                 programs.append((program, q.copy(), C))
                 return answer(q, C)
 
@@ -164,7 +158,7 @@ def trials(solver: Solver, programs: Sequence[Program]) -> list[Trial]:
     compiled: dict[int, Solve] = {}
     results = []
     quiet = contextlib.redirect_stdout(io.StringIO())
-    with quiet, warnings.catch_warnings(), one_thread():
+    with quiet, warnings.catch_warnings(), threadpool_limits(1):
         warnings.simplefilter("ignore")
         for statement, q, C in programs:
             try:

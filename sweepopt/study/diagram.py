@@ -6,13 +6,12 @@ left out: an error of 0 lies below the others of its panel, a cell that failed o
 known above them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from pandas import DataFrame, Series, concat
 
 from sweepopt.checks import choice
 from sweepopt.display import COLOURS
@@ -21,9 +20,6 @@ from sweepopt.plot import new_figure
 from sweepopt.results import ErrorBound, Solution
 from sweepopt.study.cell import CellRow, guaranteed_bound
 from sweepopt.study.problems import body_name
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
 
 COLUMNS = 3
 """Panels side by side."""
@@ -60,8 +56,6 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     ------
     InputError
         If the table lacks a column or has no rows, or `x` is none of the above.
-    MissingExtraError
-        If matplotlib is not installed.
     """
     places = points(table, x)
     axes = panels(places.panel.unique())
@@ -91,8 +85,6 @@ def points(table: DataFrame, x: str) -> DataFrame:
     InputError
         As `work_precision`.
     """
-    import pandas as pd
-
     choice("x", x, COSTS)
     missing = [name for name in CellRow._fields if name not in getattr(table, "columns", ())]
     if missing:
@@ -120,7 +112,7 @@ def points(table: DataFrame, x: str) -> DataFrame:
         cells[table.success & ~known].assign(label="error not known", marker="o", line=""),
     ]
     # lines in the order of the table, the points of each by their steps
-    places = pd.concat(parts)
+    places = concat(parts)
     order = places.groupby(LOOK, sort=False).ngroup()
     return places.assign(order=order).sort_values(["order", "steps"], kind="stable")
 

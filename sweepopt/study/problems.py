@@ -5,8 +5,6 @@ M Moreau's (A = 0), E elastoplastic, H a hold. All are dimensionless; the exact 
 known. A problem has a digest of its data: an edited scene is another one.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass

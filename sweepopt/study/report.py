@@ -5,32 +5,32 @@ Plotly's script and the pictures stand in the file, and its policy lets nothing 
 elsewhere. What comes from a table is text in it, never HTML.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import io
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from inspect import getdoc
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from pandas import DataFrame, Series, concat
+from plotly.offline import get_plotlyjs
+from plotly.subplots import make_subplots
 
 from sweepopt.checks import choice
-from sweepopt.errors import InputError, Status, brought_by
+from sweepopt.errors import InputError, Status, SweepoptWarning
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
+from sweepopt.study.cell import machine, solution_of
 from sweepopt.study.comparison import FORMAT
 from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
-from sweepopt.study.workers import machine
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
+from sweepopt.study.study import Study
 
 TARGETS = (1e-2, 1e-4, 1e-6)
 AXES = {
@@ -62,8 +62,6 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
         A row a problem and target, with the columns of the run and its target; a target
         that no run meets has no row.
     """
-    import pandas as pd
-
     known = table[table.success & table.error.notna()].sort_values("wall", kind="stable")
     chosen = [
         known[known.error <= target * known["size"]]
@@ -71,7 +69,22 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
         .assign(target=target)
         for target in targets
     ]
-    return pd.concat(chosen, ignore_index=True)
+    return concat(chosen, ignore_index=True)
+
+
+def fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
+    """The fastest run of each problem that meets the first target, solved again.
+
+    Its relative error is so large that its band can be seen.
+    """
+    chosen = set(advice(table, TARGETS[:1]).run)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SweepoptWarning)  # the table has them
+        return {
+            f"{cell.problem.name}: {cell.scheme}, {cell.steps} steps": solution_of(cell)
+            for cell in study.runs()
+            if cell.id in chosen
+        }
 
 
 def halving(table: DataFrame) -> DataFrame:
@@ -201,16 +214,12 @@ def write_report(
     ------
     InputError
         If the table is not a study's or the path no place for a file.
-    MissingExtraError
-        If Plotly or matplotlib is not installed.
     """
     for name in suites:
         choice("name", name, SUITES)
     if table is None and not any(map(len, suites.values())):
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
-    with brought_by("study"):
-        from plotly.offline import get_plotlyjs
     parts, machines = [], [machine()]
     if table is not None:
         parts += _study_section(table)
@@ -259,10 +268,8 @@ def _study_section(table: DataFrame) -> list[str]:
 
 
 def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
-    import pandas as pd
-
-    table = pd.DataFrame(rows)
-    title, text = str(getdoc(SUITES[name][0])).split("\n\n")[:2]
+    table = DataFrame(rows)
+    title, text = str(getdoc(SUITES[name])).split("\n\n")[:2]
     good = table.verdict.isin(GOOD)
     return [
         f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",
@@ -272,8 +279,6 @@ def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
 
 def _diagram(table: DataFrame, cost: str) -> str:
     """What `work_precision` draws, with a legend that filters and a tooltip a cell."""
-    from plotly.subplots import make_subplots
-
     places = points(table, cost)
     names = places.panel.unique().tolist()
     rows, columns = -(-len(names) // COLUMNS), min(len(names), COLUMNS)
@@ -301,7 +306,7 @@ def _diagram(table: DataFrame, cost: str) -> str:
     figure.update_yaxes(type="log", exponentformat="power", title=f"{ERROR}, |·|<sub>A</sub>")
     figure.update_layout(template="plotly_white", height=120 + 320 * rows)
     config = {"displaylogo": False, "responsive": True}
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
+    return figure.to_html(full_html=False, include_plotlyjs=False, config=config)
 
 
 def _picture(solutions: Mapping[str, Solution]) -> str:

@@ -3,22 +3,25 @@
     table = run(read_study("accuracy.toml"), "results/accuracy")
 
 One row a combination, failures included, kept as soon as it is finished: run again, it goes on.
+With one thread a process times compare, and rows are the same bit for bit, wherever they are
+computed.
 """
-
-from __future__ import annotations
 
 import json
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, as_completed
-from contextlib import suppress
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
+from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from threading import Thread
+from typing import Any
 
 import numpy as np
+from pandas import DataFrame
 
 from sweepopt.checks import at_path, choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
@@ -27,11 +30,7 @@ from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES, each, option
 from sweepopt.study.problems import Source, find_source
-from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 ROWS = "rows.jsonl"
 
@@ -175,7 +174,7 @@ def read_study(path: str | Path) -> Study:
 def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The keys of a study's file, and the rows of its suites by name, which are to be computed."""
     data, rows = read_toml(path), {}
-    for name, (suite, _) in SUITES.items():
+    for name, suite in SUITES.items():
         if name in data:
             where = f"{path}: {name}."
             rows[name] = from_table(where, suite, data.pop(name), partial(option, suite, where))
@@ -212,8 +211,6 @@ def run(
     ------
     InputError
         If a problem is not there.
-    MissingExtraError
-        If a package of the extra "study" is missing.
     """
     cells, done = study.runs(), set(read_table(study, folder).run)
     jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
@@ -227,9 +224,6 @@ def run(
 
 def read_table(study: Study, folder: str | Path) -> DataFrame:
     """The finished runs of a study as a table, whether or not there are more to come."""
-    with brought_by("study"):
-        import pandas as pd
-
     rows, path = {}, Path(folder, ROWS)
     for line in path.read_bytes().splitlines() if path.exists() else ():
         # lines that are cut short or have other columns are no rows
@@ -237,7 +231,7 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
             row = CellRow(**json.loads(line))
             rows[row.run] = row
     finished = [rows[cell.id] for cell in study.runs() if cell.id in rows]
-    return pd.DataFrame(finished, columns=list(CellRow._fields))
+    return DataFrame(finished, columns=list(CellRow._fields))
 
 
 def _append_row(path: Path, row: CellRow) -> None:
@@ -293,3 +287,70 @@ def _solver(name: str, value: Any) -> Any:
     through_cvxpy = str(value).startswith(THROUGH_CVXPY)
     names = "auto", *solvers.REGISTRY, value if through_cvxpy else f"{THROUGH_CVXPY}NAME"
     return choice(name, value, names)
+
+
+# ---- who computes: processes or a dask cluster, which have submit(function, *arguments) -> Future
+
+
+def processes(workers: int) -> Executor:
+    """New processes of this machine as an executor, for `run`.
+
+    Parameters
+    ----------
+    workers : int
+
+    Notes
+    -----
+    They are started anew ("spawn"): a script guards its own code with
+    ``if __name__ == "__main__":``. All end with the process that started them, even by kill -9.
+    """
+    return ProcessPoolExecutor(count("workers", workers), get_context("spawn"), _end_with_parent)
+
+
+def _end_with_parent() -> None:
+    """A thread of a worker that waits for the end of the process that started it."""
+    parent: Any = parent_process()
+
+    def end() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=end, daemon=True).start()
+
+
+@contextmanager
+def dask_executor(client: Any) -> Iterator[Executor]:
+    """The workers of a dask cluster as an executor, for `run`.
+
+    Parameters
+    ----------
+    client : dask.distributed.Client or str
+        A client, or the address of a running scheduler, such as "tcp://127.0.0.1:8786".
+
+    Raises
+    ------
+    InputError
+        If the scheduler does not answer, or a worker has several threads: cells in one process
+        would share its time. Start workers with ``--nthreads 1``.
+    MissingExtraError
+        If distributed is not installed.
+
+    Notes
+    -----
+    Workers read scenes in the files of the machine that runs the study. If a worker dies, another
+    one computes its cells.
+    """
+    with brought_by("study"):
+        from distributed import Client
+    try:
+        connected = Client(client, timeout=10) if isinstance(client, str) else nullcontext(client)
+    except (OSError, ValueError) as error:
+        raise InputError(f"scheduler {client!r} does not answer: {error}") from error
+    with connected as cluster:
+        for address, worker in cluster.scheduler_info(n_workers=-1)["workers"].items():
+            if worker["nthreads"] > 1:
+                raise InputError(
+                    f"worker {address} has {worker['nthreads']} threads, which would share a "
+                    "cell's time; start workers with --nthreads 1"
+                )
+        yield cluster.get_executor(pure=False)

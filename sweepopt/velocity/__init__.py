@@ -1,7 +1,5 @@
 """One step: the program, its certificate, the plan that chooses a path, the solvers (MATH 2, 5)."""
 
-from __future__ import annotations
-
 from sweepopt.velocity.certificate import Velocity, certify, certify_point, of_fixed_point
 from sweepopt.velocity.compiled import (
     StateVelocity,
@@ -10,7 +8,7 @@ from sweepopt.velocity.compiled import (
     compile_velocity,
 )
 from sweepopt.velocity.plan import PATHS, Plan, make_plan
-from sweepopt.velocity.program import VelocityProgram, untranslated
+from sweepopt.velocity.program import StepProgram, VelocityProgram, untranslated
 from sweepopt.velocity.solvers import (
     DAQP,
     OSQP,
@@ -24,32 +22,3 @@ from sweepopt.velocity.solvers import (
     Solver,
     installed,
 )
-from sweepopt.velocity.step_program import StepProgram
-
-__all__ = [
-    "DAQP",
-    "OSQP",
-    "PATHS",
-    "REGISTRY",
-    "ActiveSet",
-    "Answer",
-    "Clarabel",
-    "Cvxpy",
-    "Newton",
-    "Plan",
-    "Solve",
-    "Solver",
-    "StateVelocity",
-    "StepProgram",
-    "Velocity",
-    "VelocityOf",
-    "VelocityProgram",
-    "certify",
-    "certify_point",
-    "compile_projection",
-    "compile_velocity",
-    "installed",
-    "make_plan",
-    "of_fixed_point",
-    "untranslated",
-]

@@ -19,18 +19,16 @@ with w = N zeta + N E M^-1 (q - c) (MATH.md section 5). For a residual of some z
 the same program gives the change of z.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import is_finite
+from sweepopt.checks import Array
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.sets import Balls, Box, ConvexSet, shape_of
 from sweepopt.velocity.certificate import (
@@ -53,8 +51,8 @@ Right ones miss it by about TOL of a solver, 1e-8. DAQP gave velocities of 1e15 
 force in half-spaces, with which error bounds were up to 1e27 times the error (11 of 906 random
 processes)."""
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
-AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
-Propose = Callable[[np.ndarray, np.ndarray | None], Proposal]
+AnswerOf = Callable[[Array, ConvexSet], Answer]
+Propose = Callable[[Array, Array | None], Proposal]
 """From the residual of a z, None for 0, to a better pair; its gap is nan where it has no proof."""
 
 
@@ -85,11 +83,11 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     """The program of the unknowns that M keeps, as a solver answers it."""
     few, N = M.unknowns, M.small
 
-    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+    def propose(residual: Array, z: Array | None) -> Proposal:
         forward, force, size = M.reduce(-residual)
         linear = -force if z is None else N.precisely(-z[few], -force)
         answer = solve(linear, S)
-        usable = is_finite(answer.z)
+        usable = math.isfinite(answer.z.dot(answer.z))
         known = answer.w if z is None else None  # a refined z needs N z + linear more sharply
         pair = pair_near(N, linear, S, answer.z, tol, size, known) if usable else None
         if pair is None:
@@ -111,7 +109,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     return propose
 
 
-def with_forces_at_rest(N: Factor, q: np.ndarray, S: ConvexSet, pair: Proposal) -> Proposal:
+def with_forces_at_rest(N: Factor, q: Array, S: ConvexSet, pair: Proposal) -> Proposal:
     """The pair with the forces w at rest that leave the least residual, if S has them.
 
     What z rounds, dz, leaves a residual N_mm dz on the unknowns m that move. With the forces of z
@@ -132,18 +130,12 @@ def with_forces_at_rest(N: Factor, q: np.ndarray, S: ConvexSet, pair: Proposal) 
 def by_solve(M: Factor) -> Propose:
     """The solution of the linear system that is left where C is a point."""
 
-    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+    def propose(residual: Array, z: Array | None) -> Proposal:
         change = -M.solve(residual)
         z = change if z is None else z + change
         return Proposal(z, np.zeros(z.size), size=0.0)  # no larger than |z|_M
 
     return propose
-
-
-def by_formula(M: Factor, S: ConvexSet, tol: float) -> Propose:
-    """z = M^-1 (w - q + c), w the projection on C - c in the metric of a diagonal M."""
-    diagonal = M.small.diagonal
-    return by_program(M, lambda q, S: Answer((S.project(q) - q) / diagonal), S, tol)
 
 
 # ---- the cascade -------------------------------------------------------------------------------
@@ -166,37 +158,22 @@ class Attempt:
     body: Callable[[], Factor]
     from_best: bool = False
     compiled: Solve | None = None
-    apart: Callable[[ConvexSet], ConvexSet] = field(
-        default_factory=lambda: lru_cache(1)(ConvexSet.apart)
-    )
 
-    def __call__(
-        self, inclusion: Inclusion, of: Instance, best: np.ndarray, tol: float
-    ) -> Velocity:
-        """The velocity that the solver finds, refined."""
-        propose = self.proposals(inclusion, of.S, best, tol)
-        velocity = refined(inclusion, propose, of, tol)
-        if not velocity.relative < math.inf:  # a workspace that failed is not used again
-            self.compiled = None
-        return velocity
-
-    def proposals(
-        self, inclusion: Inclusion, S: ConvexSet, best: np.ndarray, tol: float
-    ) -> Propose:
+    def proposals(self, inclusion: Inclusion, S: ConvexSet, best: Array, tol: float) -> Propose:
         """From residuals to the solver's normal pairs."""
         M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
-            S = self.apart(selection.part)
+            S = selection.part.apart()
         compiled = self.compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
         start = [best[M.unknowns]] if self.from_best and best.any() else []
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+        def solve(q: Array, C: ConvexSet) -> Answer:
             return compiled(q, C, start.pop()) if start else compiled(q, C)
 
         return by_program(M, solve, S, tol)
 
 
-def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool = False) -> list[Attempt]:
+def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool) -> list[Attempt]:
     """The solvers of a program, in the order in which they are asked.
 
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
@@ -251,8 +228,8 @@ class Cascade:
         solver: Any,
         of: Instance,
         tol: float,
-        proved: bool = True,
-        anew: bool = False,
+        proved: bool,
+        anew: bool,
     ) -> None:
         self._proved = proved
         self._inclusion, self._cone, self._tol = inclusion, of.S, tol
@@ -295,11 +272,17 @@ class Cascade:
         if inclusion.rests(of, tol):
             return at_rest(of.q)
         if self._has_formula:
-            velocity = refined(inclusion, by_formula(inclusion.M, of.S, tol), of, tol)
-            return velocity._replace(solver=CLOSED_FORM)
+            # z = M^-1 (w - q + c), w the projection on C - c in the metric of M
+            diagonal = inclusion.M.small.diagonal
+            propose = by_program(
+                inclusion.M, lambda q, S: Answer((S.project(q) - q) / diagonal), of.S, tol
+            )
+            return refined(inclusion, propose, of, tol)._replace(solver=CLOSED_FORM)
         best, solver, iterations, count = unsolved(of), "none", 0, 0
         for attempt in self._attempts:
-            velocity = attempt(inclusion, of, best.z, tol)
+            velocity = refined(inclusion, attempt.proposals(inclusion, of.S, best.z, tol), of, tol)
+            if not velocity.relative < math.inf:  # a workspace that failed is not used again
+                attempt.compiled = None
             iterations += velocity.iterations
             count += 1
             if velocity.relative < best.relative or math.isnan(velocity.relative):

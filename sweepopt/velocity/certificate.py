@@ -12,8 +12,6 @@ rounded, with a bound of what rounding hides; where that bound is no small share
 tolerance allows, rho is computed once more from A, B and u in twice the precision.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cached_property
@@ -21,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import (
     EPS,
     NEGLIGIBLE,
@@ -60,13 +58,13 @@ class Velocity(NamedTuple):
         The point of C with which the program ended: of path "cones" and where nothing is proved.
     """
 
-    z: np.ndarray
+    z: Array
     certificate: float
     relative: float
     solver: str = ""
     iterations: int = 0
     attempts: int = 0
-    w: np.ndarray | None = None
+    w: Array | None = None
 
 
 class Instance(NamedTuple):
@@ -84,14 +82,14 @@ class Instance(NamedTuple):
         Those that S acts on.
     """
 
-    force: np.ndarray
-    q: np.ndarray
-    c: np.ndarray
+    force: Array
+    q: Array
+    c: Array
     S: ConvexSet
-    u: np.ndarray | None = None
+    u: Array | None = None
     unknowns: Any = slice(None)
 
-    def projection(self, force: np.ndarray) -> np.ndarray:
+    def projection(self, force: Array) -> Array:
         """The point of E^T S nearest to a force."""
         w = np.zeros(force.size)
         w[self.unknowns] = self.S.project(force[self.unknowns])
@@ -109,7 +107,7 @@ class Instance(NamedTuple):
         outside = self.force - self.projection(self.force)
         return euclidean(outside) <= most and self.is_rounding(outside)
 
-    def is_rounding(self, outside: np.ndarray) -> bool:
+    def is_rounding(self, outside: Array) -> bool:
         """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
 
         Centres are translations too. It holds entry by entry; `outside` is how far q is out of C,
@@ -138,8 +136,8 @@ class Proposal(NamedTuple):
         Of the solver.
     """
 
-    z: np.ndarray
-    w: np.ndarray
+    z: Array
+    w: Array
     gap: float = 0.0
     perturbation: float = 0.0
     size: float | None = None
@@ -202,7 +200,7 @@ class Inclusion:
 
     # ---- rounding ------------------------------------------------------------------------------
 
-    def rounding(self, of: Instance, z: np.ndarray, force: float) -> float:
+    def rounding(self, of: Instance, z: Array, force: float) -> float:
         """A bound in |.|_{M^-1} of what rounds in M z + q - c, and of M and q themselves.
 
         Parameters
@@ -215,7 +213,7 @@ class Inclusion:
             rounding += self.rounding_of_B(of.u) + self.gamma * self.rounding_of_B(z)
         return rounding
 
-    def exact_residual(self, of: Instance, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
+    def exact_residual(self, of: Instance, z: Array, *more: Array) -> Array:
         """A z + B (u + gamma z) - c + the others, rounded once."""
         if of.u is None:
             return self.M.precisely(z, of.q, -of.c, *more)
@@ -233,7 +231,7 @@ class Inclusion:
             return (self.M.precisely,)
         return Precise(self._A), Precise(self.B)
 
-    def rounding_of_B(self, u: np.ndarray) -> float:
+    def rounding_of_B(self, u: Array) -> float:
         """A bound of |B u - q|_{M^-1}, without a solve."""
         return UNIT * self.M.bound_factor * euclidean(self._weights_of_B * u)
 
@@ -264,7 +262,7 @@ class Inclusion:
         return of._replace(q=q, force=q - of.c).rests()
 
 
-def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> Velocity:
+def rated(z: Array, certificate: float, size: float, solver: str = "") -> Velocity:
     """A velocity whose certificate is compared to a size.
 
     What is not exact is known to one rounding of this size at best.
@@ -298,7 +296,7 @@ def of_fixed_point(
     )
 
 
-def certify(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity:
+def certify(M: Factor, q: Array, C: ConvexSet, z: Array) -> Velocity:
     """The velocity that C's normal pair near z makes of an approximate answer, with its proof.
 
     The program is that of M, q and C: -z in N_C(M z + q).
@@ -311,7 +309,7 @@ def certify(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity:
     return Inclusion(M).certify(Instance(q, q, np.zeros_like(q), C), pair, NEGLIGIBLE)
 
 
-def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: float) -> Velocity:
+def certify_point(M: Factor, q: Array, C: ConvexSet, z: Array, floor: float) -> Velocity:
     """z itself with its certificate: that of the normal pair near z, and how far that is from z.
 
     Parameters
@@ -326,12 +324,12 @@ def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: 
 
 def pair_near(
     M: Factor,
-    q: np.ndarray,
+    q: Array,
     C: ConvexSet,
-    z: np.ndarray,
+    z: Array,
     tol: float,
     size: float | None = None,
-    force: np.ndarray | None = None,
+    force: Array | None = None,
 ) -> Proposal | None:
     """The normal pair of C near an approximate answer; None if the set has no proof.
 
@@ -352,12 +350,12 @@ def pair_near(
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def is_rounding(outside: np.ndarray, scale: np.ndarray) -> bool:
+def is_rounding(outside: Array, scale: Array) -> bool:
     """Whether each entry is at most 8 rounding units of its scale."""
-    return bool((np.abs(outside) <= ROUNDING * scale).all())
+    return (np.abs(outside) <= ROUNDING * scale).all()
 
 
-def at_rest(q: np.ndarray, solver: str = "at rest") -> Velocity:
+def at_rest(q: Array, solver: str = "at rest") -> Velocity:
     """Nothing moves."""
     return Velocity(np.zeros_like(q), 0.0, 0.0, solver)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import Array
 from sweepopt.linalg import Elimination, Factor, is_solid
 from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade, by_solve, refined
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from sweepopt.velocity.plan import Plan
     from sweepopt.velocity.proportional import Reduction
 
-VelocityOf = Callable[[np.ndarray, ConvexSet], Velocity]
+VelocityOf = Callable[[Array, ConvexSet], Velocity]
 EVERY: Any = slice(None)
 DEFAULT_TOL = 1e-6  # what is aimed at where every answer is welcome (tol = inf)
 
@@ -76,9 +77,8 @@ class StateVelocity:
         gamma: float = 0.0,
     ) -> None:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
-        contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
-        self._contact, self._solver, self._condensed = contact, plan.solver, plan.condensed
-        self._by_cones, self._proved = plan.cones, plan.proved
+        none = np.zeros(0, dtype=int)
+        self._plan, self._contact = plan, none if plan.contact is None else plan.contact
         self._on_condensed: Inclusion | None = None
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
         self.forget()
@@ -88,30 +88,27 @@ class StateVelocity:
         self._cascade: Cascade | None = None
         self._mapping: ReturnMapping | None = None
         self._cones: Cones | None = None
-        self._one: tuple[ConvexSet | None, Any] = None, None
+        self._one = lru_cache(1)(one_unknown)
         self._apart = lru_cache(1)(ConvexSet.apart)
 
-    def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
-        if u.size == 1 and self._solver == "auto":
+    def __call__(self, u: Array, C: ConvexSet) -> Velocity:
+        if u.size == 1 and self._plan.solver == "auto":
             c, S = untranslated(C)
-            if self._one[0] is not S:
-                self._one = S, None
-                if isinstance(S, Box) and not S.singleton:
-                    self._one = S, one_unknown(self._on_all, S, self._tol)
-            formula = self._one[1]
-            velocity = formula and formula(float(u[0]), float(c[0]))
-            if velocity is not None:
-                return velocity
+            if isinstance(S, Box) and not S.singleton:
+                formula = self._one(self._on_all, S, self._tol)
+                velocity = formula(float(u[0]), float(c[0]))
+                if velocity is not None:
+                    return velocity
         if self._B is None:
             return self.of_force(np.zeros_like(u), C)
         return self.of_force(self._B.dot(u), C, u)
 
-    def distance(self, z: np.ndarray, other: np.ndarray) -> float:
+    def distance(self, z: Array, other: Array) -> float:
         """|z - other|_M."""
         difference = z - other
         return math.sqrt(max(difference.dot(self._M.dot(difference)), 0.0))
 
-    def of_force(self, q: np.ndarray, C: ConvexSet, u: np.ndarray | None = None) -> Velocity:
+    def of_force(self, q: Array, C: ConvexSet, u: Array | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:
             of, inclusion = Instance(q - C.anchor, q, C.anchor, C, u), self._on_all
@@ -123,7 +120,7 @@ class StateVelocity:
             of_part, part = untranslated(selection.part)
             shifted = c.copy() if selection.shift is None else c + selection.shift
             shifted[self._contact] += of_part
-            if not self._condensed:
+            if not self._plan.condensed:
                 few, c, S = self._contact, shifted, part
             else:
                 mapped = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
@@ -132,13 +129,13 @@ class StateVelocity:
         S = self._apart(S)
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
-        if self._by_cones:
+        if self._plan.cones:
             velocity = self._coned(of)
             if velocity.relative <= self._tol:
                 return velocity
         if self._cascade is None or not self._cascade.serves(inclusion, S):
-            data, anew = (inclusion, self._solver, of, self._tol), self._cascade is not None
-            self._cascade = Cascade(*data, self._proved, anew)
+            data, anew = (inclusion, self._plan.solver, of, self._tol), self._cascade is not None
+            self._cascade = Cascade(*data, self._plan.proved, anew)
         return self._cascade(of)
 
     def _mapped(self, of: Instance) -> Velocity | None:
@@ -194,7 +191,7 @@ class ReducedVelocity(StateVelocity):
         super().__init__(replace(plan, contact=None, reduction=None), M, N, N.M, B, gamma)
         self._reduction, self._gamma = reduction, gamma
 
-    def __call__(self, y: np.ndarray, C: ConvexSet) -> Velocity:
+    def __call__(self, y: Array, C: ConvexSet) -> Velocity:
         few, rho, gamma = self._reduction.few, self._reduction.rho, self._gamma
         on_contact: ConvexSet
         c, S = untranslated(C)
@@ -205,4 +202,4 @@ class ReducedVelocity(StateVelocity):
         velocity = super().__call__(y[:few], on_contact)
         rates = (c[few:] - rho * y[few:]) / (1 + gamma * rho)
         velocity = velocity._replace(z=np.concatenate([velocity.z, rates]))
-        return self._reduction.certified(gamma, y, velocity) if self._proved else velocity
+        return self._reduction.certified(gamma, y, velocity) if self._plan.proved else velocity

@@ -12,14 +12,13 @@ creep w of a plug enters sigma E w, free of the rounding of its velocity, so tha
 hundredfold in each round.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from sweepopt.checks import Array
 from sweepopt.linalg import Factor
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
@@ -44,10 +43,10 @@ class Rows(NamedTuple):
 
     E: sp.csr_array
     local: Local
-    tied: np.ndarray
+    tied: Array
 
 
-def radii(S: ConvexSet) -> np.ndarray | None:
+def radii(S: ConvexSet) -> Array | None:
     """The radii of all balls, if S is E^T of nothing but balls around 0."""
     form = S.form()
     if form.F.shape[0] or not all(isinstance(shape_of(part), Balls) for part in form.parts):
@@ -102,7 +101,7 @@ class Cones:
         self._z, self._s = np.zeros(M.dim), np.zeros((b, m))
         self._sigma, self._size = self._weights, 0.0
 
-    def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+    def propose(self, S: ConvexSet, residual: Array, z: Array | None) -> Proposal:
         """The pair for the linear term residual - M z, from the base z."""
         g, dim = self._radii if S is self.S else radii(S), self._M.dim
         assert g is not None
@@ -116,12 +115,12 @@ class Cones:
         rates_base = self._rates(base)
         before = 0 * s0, s0, np.zeros((1, 1, 1))
 
-        def law(x: np.ndarray) -> tuple[np.ndarray, Any]:
+        def law(x: Array) -> tuple[Array, Any]:
             rates = x.reshape(len(s0), -1)
             v = s0 + sigma * (rates_base + rates)
             s = in_balls(v, g)
 
-            def derivative() -> list[np.ndarray]:
+            def derivative() -> list[Array]:
                 """With the multipliers that the step before expects."""
                 nonlocal before
                 rates_before, s_before, D = before
@@ -150,12 +149,11 @@ class Cones:
         rounding = ROUNDING * (abs(self._transposed) @ np.abs(state.s))
         return Proposal(z, w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
-    def _rates(self, z: np.ndarray) -> np.ndarray:
+    def _rates(self, z: Array) -> Array:
         """E z, a column for each block."""
-        rates: np.ndarray = (self._rows.E @ z).reshape(self._s.shape)
-        return rates
+        return (self._rows.E @ z).reshape(self._s.shape)
 
-    def _derivative(self, g: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
+    def _derivative(self, g: Array, v: Array, s: Array) -> Array:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
         size = lengths(v)
         flows = size > g
@@ -163,10 +161,9 @@ class Cones:
         of_one = np.where(flows, g / size, 1.0) * self._sigma
         of_two = np.where(flows, 0.5 / size**2, 0.0) * self._sigma
         turned = s[:, None] * (of_two * v)
-        D: np.ndarray = of_one * np.eye(len(s))[:, :, None] - turned - turned.transpose(1, 0, 2)
-        return D
+        return of_one * np.eye(len(s))[:, :, None] - turned - turned.transpose(1, 0, 2)
 
-    def _plugs(self, rigid: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def _plugs(self, rigid: Array, z: Array) -> Array:
         """z with one value, the mean, on connected rigid blocks; 0 where one of them is held."""
         unknowns, ground = self._rows.local.unknowns[rigid], self._M.dim
         first = unknowns[:, :1]
@@ -181,13 +178,12 @@ class Cones:
         return values[label]
 
 
-def lengths(columns: np.ndarray) -> np.ndarray:
+def lengths(columns: Array) -> Array:
     """|x_k| of each column."""
-    of: np.ndarray = np.sqrt((columns * columns).sum(axis=0))
-    return of
+    return np.sqrt((columns * columns).sum(axis=0))
 
 
-def in_balls(v: np.ndarray, g: np.ndarray) -> np.ndarray:
+def in_balls(v: Array, g: Array) -> Array:
     """The projection of each column on its ball."""
     size = lengths(v)
     return v * np.divide(g, size, out=np.ones_like(g), where=size > g)

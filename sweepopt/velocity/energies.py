@@ -13,10 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import InBlocks, euclidean
-from sweepopt.velocity.program import KEPT
 
+# of the residual, left by a step of Newton's method after which the tangent is kept: such steps
+# cost a fifth of others; of 1e-4 to 0.2 this takes the least time on problems/tread.toml, and of
+# 0 to 0.1 on a ring with plastic strains
+KEPT = 1e-2
 MOST = 60  # Newton steps; 2 to 37 were needed
 SHARES = 0.5 ** np.arange(20)  # of a step
 STEEPER = 0.9  # with 10 a ring takes 40 times as long, a gel 11 % fewer steps
@@ -25,14 +28,14 @@ STEEPER = 0.9  # with 10 a ring takes 40 times as long, a gel 11 % fewer steps
 class State(NamedTuple):
     """w, x = E w, the force s at x, the gradient R, and the derivative of s, to be asked once."""
 
-    w: np.ndarray
-    x: np.ndarray
-    s: np.ndarray
-    R: np.ndarray
-    derivative: Callable[[], Sequence[np.ndarray]]
+    w: Array
+    x: Array
+    s: Array
+    R: Array
+    derivative: Callable[[], Sequence[Array]]
 
 
-Law = Callable[[np.ndarray], tuple[np.ndarray, Callable[[], Sequence[np.ndarray]]]]
+Law = Callable[[Array], tuple[Array, Callable[[], Sequence[Array]]]]
 """From x to s, a gradient, and its symmetric derivative, shape (b, b, m) in each group."""
 
 
@@ -49,9 +52,9 @@ class Local(NamedTuple):
         How many unknowns a block has.
     """
 
-    unknowns: np.ndarray
-    entries: np.ndarray
-    counts: np.ndarray
+    unknowns: Array
+    entries: Array
+    counts: Array
 
     @classmethod
     def of(cls, E: sp.csr_array, b: int) -> Local:
@@ -97,11 +100,11 @@ class Energy:
         ]
         starts = np.searchsorted(pattern // dim, np.arange(dim + 1))
         self._factorise = InBlocks(pattern % dim, starts)
-        self._last: tuple[Sequence[np.ndarray], Any] = (), None
+        self._last: tuple[Sequence[Array], Any] = (), None
         self._root = np.sqrt(K.diagonal())
 
     def minimised(
-        self, f: np.ndarray, w: np.ndarray, law: Law, converged: Callable[[State], bool]
+        self, f: Array, w: Array, law: Law, converged: Callable[[State], bool]
     ) -> tuple[State, int]:
         """Newton steps from w until one converges or none is left, and how many were taken.
 
@@ -111,7 +114,7 @@ class Energy:
         than KEPT of the residual is followed by one with the same tangent.
         """
 
-        def at(w: np.ndarray) -> State:
+        def at(w: Array) -> State:
             x = self._E @ w
             s, derivative = law(x)
             return State(w, x, s, self._K @ w + f + self._transposed @ s, derivative)
@@ -133,7 +136,7 @@ class Energy:
             state, iterations = trial, iterations + 1
         return state, iterations
 
-    def _solve(self, D: Sequence[np.ndarray], R: np.ndarray) -> np.ndarray:
+    def _solve(self, D: Sequence[Array], R: Array) -> Array:
         """The solution of K + sum_k L_k^T D_k L_k; the last factors are kept."""
         last, solve = self._last
         if solve is None or not all(map(np.array_equal, D, last)):

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import Array
 from sweepopt.display import Displayed, Rows
 from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.linalg import factor_bytes, is_diagonal
+from sweepopt.problem import SweepingProcess
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.cones import blocks
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.proportional import Reduction, reduce
@@ -20,8 +23,6 @@ from sweepopt.velocity.solvers import NEWTON, Small, Solver, choose
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
-    from sweepopt.problem import SweepingProcess
-    from sweepopt.sets import ConvexSet
 
 PATHS = {
     "auto": "the first that applies",
@@ -32,6 +33,7 @@ PATHS = {
     "full": "a program for all unknowns",
 }
 
+Members = Sequence[tuple[float, ConvexSet]]  # times, and C(t) at them
 FINEST = 1e-7  # tolerance of cones: the root of twice what sum g |E_k z| rounds, 6e-8 of its root
 
 
@@ -79,13 +81,13 @@ class Plan(Displayed):
     scheme: Scheme
     tol: float
     left_out: tuple[str, ...]
-    contact: np.ndarray | None = None
+    contact: Array | None = None
     reduction: Reduction | None = None
     condensed: bool = False
     cones: bool = False
     contraction: float = 0.0
     proved: bool = True
-    breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    breakpoints: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def path(self) -> str:
@@ -109,11 +111,11 @@ class Plan(Displayed):
         """The process of the unknowns that enter, which the loop moves."""
         return process if self.reduction is None else self.reduction.process
 
-    def state(self, y: np.ndarray) -> np.ndarray:
+    def state(self, y: Array) -> Array:
         """All unknowns of states, shape (dim,) or in rows, from those that enter."""
         return y if self.reduction is None else self.reduction.state(y)
 
-    def velocity(self, y: np.ndarray) -> np.ndarray:
+    def velocity(self, y: Array) -> Array:
         """The same of velocities."""
         return y if self.reduction is None else self.reduction.velocity(y)
 
@@ -154,7 +156,7 @@ class Plan(Displayed):
 
 def make_plan(
     process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
+    members: Members,
     scheme: Scheme,
     solver: Any,
     tol: float,
@@ -225,8 +227,8 @@ def make_plan(
 
 def _has_cones(
     process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
-    contact: np.ndarray | None,
+    members: Members,
+    contact: Array | None,
     path: str,
     tol: float,
 ) -> bool:
@@ -251,8 +253,8 @@ def _has_cones(
 
 def _condenses(
     process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
-    contact: np.ndarray | None,
+    members: Members,
+    contact: Array | None,
     path: str,
 ) -> bool:
     """Whether the unknowns of the sets are condensed point by point.
@@ -274,11 +276,11 @@ def _condenses(
 
 
 def _solvers(
-    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
-) -> tuple[tuple[Solver, ...], np.ndarray | None]:
+    dim: int, members: Members, solver: Any, path: str, tol: float
+) -> tuple[tuple[Solver, ...], Array | None]:
     """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
     solvers: tuple[Solver, ...] = ()
-    contacts: list[np.ndarray] = []
+    contacts: list[Array] = []
     for t, C in members:
         selection = None if path == "full" else C.selection
         try:

@@ -21,25 +21,20 @@ The influence function F of a load f is the answer of the body while its contact
 A F = f - E^T (force on the contact) with E F = 0.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import UNIT, Elimination, Factor, Precise, euclidean, product_error
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import SweepingProcess, Terms, motion, proportion
 from sweepopt.sets import Aligned, ConvexSet, Moving
 from sweepopt.velocity.certificate import Velocity, is_rounding
-
-if TYPE_CHECKING:
-    from sweepopt.integrate import Scheme
 
 LEAST_SPEED = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
@@ -76,7 +71,7 @@ class Reduction:
         self,
         process: SweepingProcess,
         rho: float,
-        contact: np.ndarray,
+        contact: Array,
         S: ConvexSet,
         terms: Terms,
         scale: Any,
@@ -118,7 +113,7 @@ class Reduction:
         y0 = np.append(zeta0, 0 * units)
         self.process = SweepingProcess(small, rho * small if rho else None, C, y0)
 
-    def velocity(self, y: np.ndarray) -> np.ndarray:
+    def velocity(self, y: Array) -> Array:
         """All unknowns of a velocity, or of some in rows, from those that enter."""
         if y.ndim > 1:
             return np.array(list(map(self.velocity, y))).reshape(len(y), self._u0.size)
@@ -127,29 +122,27 @@ class Reduction:
         z[self._A.unknowns] = zeta  # to the last bit: stuck is 0.0
         return z
 
-    def state(self, y: np.ndarray) -> np.ndarray:
+    def state(self, y: Array) -> Array:
         """All unknowns of u, or of some in rows, from those that enter."""
         u = self._u0 + self.velocity(y - self.process.u0)
         u[..., self._A.unknowns] = y[..., : self.few]
         return u
 
-    def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
+    def suits(self, gamma: float, span: float, tol: float) -> bool:
         """Whether steps leave the velocities of alpha a thousand times as accurate as tol.
 
         alpha' = (psi - rho alpha) / (1 + gamma rho), psi the load's value, is the difference of two
-        numbers that, far from the start, are as near to each other as the run is long in units of
-        1 / rho.
+        numbers that, far from the start, are as near to each other as the run, the span, is long
+        in units of 1 / rho.
         """
-        gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
-        rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
-        return scheme.exact or rounding <= LEAST_SPEED * tol
+        return UNIT * self.rho * span / (1 + gamma * self.rho) <= LEAST_SPEED * tol
 
     def is_accurate(self, enough: float) -> bool:
         """Whether A^-1 was applied to this accuracy."""
         known = (self._errors <= enough * self._sizes).all()
-        return bool(known and self._extension_error <= enough)
+        return known and self._extension_error <= enough
 
-    def certified(self, gamma: float, y: np.ndarray, velocity: Velocity) -> Velocity:
+    def certified(self, gamma: float, y: Array, velocity: Velocity) -> Velocity:
         """The velocity of a stage from y with the certificate of all unknowns.
 
         Beside what that of the contact proves, with M = (1 + gamma rho) A and q = rho A u - f, both
@@ -216,7 +209,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     return reduction
 
 
-def _influence(A: Elimination, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _influence(A: Elimination, f: Array) -> tuple[Array, Array]:
     """F, and the force on the contact: that of f on it is there to the last bit."""
     beside = f.copy()
     beside[A.unknowns] = 0.0
@@ -224,7 +217,7 @@ def _influence(A: Elimination, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return A.recover(forward, 0 * force), f[A.unknowns] + force
 
 
-def _extension(A: Elimination, zeta: np.ndarray) -> np.ndarray:
+def _extension(A: Elimination, zeta: Array) -> Array:
     """A^-1 E^T N zeta: the body follows its contact."""
     return A.recover(np.zeros(A.dim), zeta)
 
@@ -236,9 +229,7 @@ def _differences(A: Matrix, B: Matrix | None, rho: float) -> list[Matrix]:
     return differences if B is None else [*differences, (B - rho * A - product_error(rho, A)) / rho]
 
 
-def _residual(
-    A: Elimination, differences: list[Matrix], v: np.ndarray, f: np.ndarray, force: np.ndarray
-) -> float:
+def _residual(A: Elimination, differences: list[Matrix], v: Array, f: Array, force: Array) -> float:
     """|f - E^T force - A v|_{A^-1}, with what the rounding of v, of B and of M adds.
 
     The rounding of B and M moves |(M - (1 + gamma rho) A) v|_{A^-1} and |(B - rho A) v|_{A^-1},
@@ -266,6 +257,6 @@ def _extension_error(A: Elimination, residual: Callable[..., float]) -> float:
     return 2 * residual(v, 0 * v, -Precise(A.N)(zeta)) / size if size else np.inf
 
 
-def _less_B(B: Matrix | None, u: np.ndarray, f: np.ndarray) -> np.ndarray:
+def _less_B(B: Matrix | None, u: Array, f: Array) -> Array:
     """f - B u, rounded once."""
     return f if B is None else -Precise(B)(u, -f)

@@ -21,22 +21,20 @@ multiple of 1 on (p, alpha), in whose units the cone is a circular one, and it i
 without kinematic hardening too (`ConvexSet.exchange`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import Factor
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
 from sweepopt.velocity.energies import Energy, Local, State
 
 
-def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
+def condensable(M: Matrix, unknowns: Array, S: ConvexSet) -> bool:
     """Whether M on these unknowns is diagonal, and the projection on S in its metric S's own."""
     block = sp.csr_array(sp.csr_array(M)[unknowns][:, unknowns])
     diagonal = np.asarray(block.diagonal())
@@ -64,7 +62,7 @@ class ReturnMapping:
         Of the certificate.
     """
 
-    def __init__(self, M: Factor, unknowns: np.ndarray, S: ConvexSet, tol: float) -> None:
+    def __init__(self, M: Factor, unknowns: Array, S: ConvexSet, tol: float) -> None:
         self._M, self._few, self._tol = M, unknowns, tol
         self._rest = np.setdiff1d(np.arange(M.dim), unknowns)
         rows = sp.csr_array(M.M)[self._rest]
@@ -74,7 +72,7 @@ class ReturnMapping:
         self._energy = Energy(K, G, groups)
         self._v, self._size = np.zeros(self._rest.size), 0.0
 
-    def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+    def propose(self, S: ConvexSet, residual: Array, z: Array | None) -> Proposal:
         """The pair for the linear term residual - M z, from the base z.
 
         Newton's method moves v - v(z): what is summed of M z + q is in the residual, rounded once.
@@ -87,10 +85,10 @@ class ReturnMapping:
         f, p_base = residual[rest], base[few]
         r_base = residual[few] - W * p_base
 
-        def mapped(r: np.ndarray) -> np.ndarray:
+        def mapped(r: Array) -> Array:
             return (0.0 - S.normal(r)) / W
 
-        def law(x: np.ndarray) -> tuple[np.ndarray, Any]:
+        def law(x: Array) -> tuple[Array, Any]:
             return mapped(r_base + x) - p_base, lambda: self._softening(S, r_base + x)
 
         def converged(state: State) -> bool:
@@ -108,7 +106,7 @@ class ReturnMapping:
         self._v = z[rest]
         return Proposal(z, w, iterations=iterations)
 
-    def _softening(self, S: ConvexSet, r: np.ndarray) -> list[np.ndarray]:
+    def _softening(self, S: ConvexSet, r: Array) -> list[Array]:
         """-W^-1 (I - DP_S(r)) at each point: by how much K is softer where it yields."""
         return [
             np.moveaxis((D - np.eye(D.shape[1])) / self._weights[at][:, :, None], 0, 2)

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.errors import SweepoptError
 from sweepopt.linalg import EPS
 from sweepopt.loads import Piece
@@ -40,8 +41,8 @@ class ExponentialSum:
     length : float
     """
 
-    weights: np.ndarray
-    rates: np.ndarray
+    weights: Array
+    rates: Array
     length: float
 
     @cached_property
@@ -50,30 +51,30 @@ class ExponentialSum:
         return self.weights.shape[1] - self.rates.size - 1
 
     @cached_property
-    def _powers(self) -> np.ndarray:
+    def _powers(self) -> Array:
         return np.arange(self.degree + 1)
 
     @cached_property
-    def sizes(self) -> np.ndarray:
+    def sizes(self) -> Array:
         """Absolute weights; times `bound` they bound the function."""
         return np.abs(self.weights)
 
-    def basis(self, tau: Any) -> np.ndarray:
+    def basis(self, tau: Any) -> Array:
         """The powers and exponentials at tau, shape (..., degree + 1 + l)."""
         tau = np.asarray(tau, dtype=float)[..., None]
         return np.concatenate(
             [(tau / self.length) ** self._powers, np.exp(self.rates * tau)], axis=-1
         )
 
-    def bound(self, tau: float) -> np.ndarray:
+    def bound(self, tau: float) -> Array:
         """Bounds of their absolute values on [tau, length]."""
         return np.append(np.ones(self.degree + 1), np.exp(self.rates.real * tau))
 
-    def __call__(self, tau: Any) -> np.ndarray:
+    def __call__(self, tau: Any) -> Array:
         """Values, shape (rows,) or (k, rows)."""
         return (self.basis(tau) @ self.weights.T).real
 
-    def with_weights(self, weights: np.ndarray) -> ExponentialSum:
+    def with_weights(self, weights: Array) -> ExponentialSum:
         """Another sum of the same functions."""
         return ExponentialSum(weights, self.rates, self.length)
 
@@ -85,14 +86,14 @@ class ExponentialSum:
         D[:, end + 1 :] = W[:, end + 1 :] * self.rates
         return self.with_weights(D)
 
-    def taylor(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def taylor(self) -> Iterator[tuple[Array, Array]]:
         """Coefficients of 1, tau, tau^2, ... and the size of the terms that they are sums of."""
         f, start = self, self.basis(0.0).real
         for k in count(1):
             yield (f.weights @ start).real, f.sizes @ start
             f = f.with_weights(f.derivative().weights / k)
 
-    def extended(self, lam: np.ndarray) -> ExponentialSum:
+    def extended(self, lam: Array) -> ExponentialSum:
         """The same function, with room for exp(-lam tau): see `decay`."""
         fast = lam[lam * self.length > SLOW]
         terms = TERMS if fast.size < lam.size else 0
@@ -127,7 +128,7 @@ def histories(pieces: list[Piece], s: float, length: float) -> ExponentialSum:
     return ExponentialSum(weights, 1j * np.array(fast), length)
 
 
-def decay(lam: np.ndarray, forces: ExponentialSum) -> ExponentialSum:
+def decay(lam: Array, forces: ExponentialSum) -> ExponentialSum:
     """p with p' + lam p = r, p(0) = 0; one row a mode, r a sum that is `extended` by lam."""
     length, powers = forces.length, forces.degree + 1
     slow = lam * length <= SLOW
@@ -153,7 +154,7 @@ TINY = np.sqrt(np.finfo(float).tiny)  # a product with it does not underflow
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
-def first_root(f: ExponentialSum, orders: np.ndarray) -> float:
+def first_root(f: ExponentialSum, orders: Array) -> float:
     """The first tau in (0, length) at which an entry of f turns negative; length if none does.
 
     Parameters
@@ -194,9 +195,7 @@ def first_root(f: ExponentialSum, orders: np.ndarray) -> float:
     )
 
 
-def _beyond_touch(
-    f: ExponentialSum, rows: np.ndarray, tau: float, noise: np.ndarray
-) -> np.ndarray | None:
+def _beyond_touch(f: ExponentialSum, rows: Array, tau: float, noise: Array) -> Array | None:
     """Steps after which entries at zero are positive again, where they only touch it.
 
     Where f'' stays above half of its value c up to h = 4 |f'| / c, f falls by f'^2 / c at most:
@@ -213,7 +212,7 @@ def _beyond_touch(
     return h if (steady & (slope**2 <= 4 * noise * c)).all() else None
 
 
-def _positive_until(f: ExponentialSum, orders: np.ndarray) -> np.ndarray:
+def _positive_until(f: ExponentialSum, orders: Array) -> Array:
     """Up to where an entry that rises from zero with its k-th derivative stays positive."""
     until, curve = np.full(orders.size, np.inf), f
     for order in range(1, int(orders.max(initial=0)) + 1):

@@ -24,8 +24,6 @@ sigma > 0 is not; a row with neither is undecided and enters the program of the 
 At A = 0 only rows without slack can be active, S = N B N^T and s_k = (k + 1) d_{k+1}.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -36,18 +34,17 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import lapack
 
-from sweepopt.checks import at_path
+from sweepopt.checks import Array, at_path
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum
 from sweepopt.linalg import EPS, dense
-from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
 from sweepopt.sets import NoHalfspacesError, facets, least_distance, parallel_rows
 
 FAST = 1e-2  # of the largest lam
 
 
-def modes(SA: np.ndarray, SB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def modes(SA: Array, SB: Array) -> tuple[Array, Array]:
     """lam >= 0 and V with V^T SA V = 1, V^T SB V = diag(lam).
 
     From the singular values of SA^-1/2 SB^1/2 by one-sided Jacobi rotations: where units or
@@ -75,7 +72,7 @@ def modes(SA: np.ndarray, SB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return lam, V
 
 
-def _root(SB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _root(SB: Array) -> tuple[Array, Array]:
     """root with root root^T = SB, of full column rank, and the rows that make it triangular."""
     n = len(SB)
     scale = np.sqrt(np.maximum(SB.diagonal(), 0.0))
@@ -113,14 +110,14 @@ class Rows:
     rate_independent : bool
     """
 
-    N: np.ndarray
-    equations: np.ndarray
-    R: np.ndarray
-    NB: np.ndarray
-    S: np.ndarray
-    SB: np.ndarray
+    N: Array
+    equations: Array
+    R: Array
+    NB: Array
+    S: Array
+    SB: Array
     histories: list[Any]
-    weights: np.ndarray
+    weights: Array
     Lam: float
     rate_independent: bool
 
@@ -130,21 +127,10 @@ class Rows:
         return np.flatnonzero(self.equations).tolist()
 
     @cached_property
-    def modes(self) -> Callable[[tuple[int, ...]], tuple[np.ndarray, np.ndarray]]:
+    def modes(self) -> Callable[[tuple[int, ...]], tuple[Array, Array]]:
         """lam and V of a face (`modes`): a periodic motion comes to the same faces again."""
-
-        @lru_cache(FACES)
-        def of_face(active: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-            square = np.ix_(active, active)
-            return modes(self.S[square], self.SB[square])
-
-        return of_face
-
-    def pieces(self, start: float, end: float) -> Iterator[tuple[float, float, list[Piece]]]:
-        """Neighbouring breakpoints a and b between the two times, and the phi_k between them."""
-        ends = [start, *breakpoints(self.histories, start, end).tolist(), end]
-        for a, b in pairwise(ends):
-            yield a, b, [phi.piece(a, b) for phi in self.histories]
+        both = self.S, self.SB
+        return lru_cache(FACES)(lambda active: modes(*(M[np.ix_(active, active)] for M in both)))
 
 
 @at_path("scheme 'exact' does not apply: ")
@@ -183,7 +169,7 @@ def rows_of(process: SweepingProcess) -> Rows:
     return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, histories, weights, lam, still)
 
 
-def _halfspaces(moving: Motion) -> tuple[np.ndarray, Terms, int]:
+def _halfspaces(moving: Motion) -> tuple[Array, Terms, int]:
     """N and d of C(t) = { w : N w <= d(t) }, and how many of the last rows are equations."""
     if moving.shape is None:
         raise InputError(
@@ -226,9 +212,7 @@ def _closed_forms(load: TimeFunction, name: str) -> Terms:
     return load.terms
 
 
-def _distinct(
-    R: np.ndarray, weights: np.ndarray, equations: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _distinct(R: Array, weights: Array, equations: Array) -> tuple[Array, Array]:
     """Rows that are not repeated, and which of them hold with equality.
 
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
@@ -265,13 +249,11 @@ class Face(NamedTuple):
     """
 
     active: list[int]
-    orders: np.ndarray
-    redundant: np.ndarray
+    orders: Array
+    redundant: Array
 
 
-def face_after(
-    rows: Rows, phi: ExponentialSum, t: float, u: np.ndarray, stalled: bool = False
-) -> Face:
+def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: bool) -> Face:
     """The face just after t.
 
     Parameters
@@ -332,14 +314,14 @@ def face_after(
     return Face(active, orders, undecided)
 
 
-def _taylor(rows: Rows, phi: ExponentialSum, t: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _taylor(rows: Rows, phi: ExponentialSum, t: float) -> Iterator[tuple[Array, Array]]:
     """d_0, d_1, ... and the size of the terms that each is a sum of, with the rounding of t."""
     for k, ((value, size), (_, next_size)) in enumerate(pairwise(phi.taylor()), start=1):
         yield rows.weights @ value, np.abs(rows.weights) @ (size + abs(t) * k * next_size)
 
 
 def _basis(
-    rows: Rows, active: list[int], undecided: np.ndarray, s: np.ndarray, noise: np.ndarray
+    rows: Rows, active: list[int], undecided: Array, s: Array, noise: Array
 ) -> list[int] | None:
     """The active rows, and the undecided ones that hold at the x of least norm with R x = s on
     the active and R x <= s on the undecided rows; None if there is no x.

@@ -4,23 +4,23 @@ A run takes it on its grid, the inclusion checked at each node and late in each 
 a row that is missed is violated until its phase ends.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import groupby
+from itertools import groupby, pairwise
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from sweepopt import checks
+from sweepopt.checks import Array
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, first_root, histories
 from sweepopt.integrate.exact.rows import Face, Rows, face_after, rows_of
 from sweepopt.integrate.record import Run, Step
 from sweepopt.linalg import EPS, Factor
+from sweepopt.loads import breakpoints
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point
 
@@ -42,16 +42,16 @@ class Phase:
     u: ExponentialSum
     switch: bool
 
-    def state(self, t: Any) -> np.ndarray:
+    def state(self, t: Any) -> Array:
         """u at the times, shape (dim,) or (k, dim)."""
         return self.u(t - self.start)
 
-    def velocity(self, t: Any) -> np.ndarray:
+    def velocity(self, t: Any) -> Array:
         """u' at the times, shape (dim,) or (k, dim); exactly 0.0 in what is stuck."""
         return 0.0 + self.u.derivative()(t - self.start)
 
 
-Evaluate = Callable[[Phase, np.ndarray], np.ndarray]
+Evaluate = Callable[[Phase, Array], Array]
 """A function of a phase at some times, such as `Phase.state`."""
 
 
@@ -91,7 +91,7 @@ class Trajectory:
         return self.phases[-1].end
 
     @property
-    def switches(self) -> np.ndarray:
+    def switches(self) -> Array:
         """Times at which the motion changes its closed form, shape (k,).
 
         A row begins or ceases to hold, or the load has a breakpoint while something moves.
@@ -99,19 +99,19 @@ class Trajectory:
         return np.array([phase.start for phase in self.phases if phase.switch])
 
     @cached_property
-    def starts(self) -> np.ndarray:
+    def starts(self) -> Array:
         """Where the phases begin."""
         return np.array([phase.start for phase in self.phases])
 
-    def __call__(self, t: Any) -> np.ndarray:
+    def __call__(self, t: Any) -> Array:
         """u(t), shape (dim,) or (k, dim) for a scalar or an array t."""
         return self._evaluate(t, Phase.state, Plan.state)
 
-    def velocity(self, t: Any) -> np.ndarray:
+    def velocity(self, t: Any) -> Array:
         """u'(t), the left derivative; shape (dim,) or (k, dim)."""
         return self._evaluate(t, Phase.velocity, Plan.velocity)
 
-    def _evaluate(self, t: Any, of_phase: Evaluate, of_all: Callable[..., Any]) -> np.ndarray:
+    def _evaluate(self, t: Any, of_phase: Evaluate, of_all: Callable[..., Any]) -> Array:
         """What `of_phase` computes at the times; of a run with a plan `of_all` has all unknowns."""
         start = self.phases[0].start
         times = checks.times_inside(t, np.array([start, self.end]))
@@ -125,7 +125,7 @@ class Trajectory:
         return values if self.plan is None else of_all(self.plan, values)
 
 
-def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[Phase]:
+def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase]:
     """Move the process from u0 at `start`, phase by phase; to `end` if switches do not accumulate.
 
     Raises
@@ -134,8 +134,9 @@ def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[
         If C(t) becomes empty.
     """
     u, before, switch, left, stalled = u0, None, False, PHASES, False
-    for a, b, pieces in rows.pieces(start, end):
-        s = a
+    ends = [start, *breakpoints(rows.histories, start, end).tolist(), end]
+    for a, b in pairwise(ends):
+        s, pieces = a, [phi.piece(a, b) for phi in rows.histories]
         left += 1
         while s < b:
             phi = histories(pieces, s, b - s)
@@ -158,9 +159,7 @@ def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[
                 return
 
 
-def _motion(
-    rows: Rows, phi: ExponentialSum, u: np.ndarray, face: Face
-) -> tuple[ExponentialSum, float]:
+def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[ExponentialSum, float]:
     """u in closed form, and after which time another row holds, at most phi's length."""
     active = face.active
     force = phi.with_weights(-rows.weights @ phi.weights)
@@ -192,7 +191,7 @@ LATE = 0.999  # of a phase: C may jump at its end
 
 def exact_steps(
     process: SweepingProcess, plan: Plan, run: Run
-) -> Callable[[float, float, np.ndarray], Step | None]:
+) -> Callable[[float, float, Array], Step | None]:
     """What takes the next step along the exact trajectory, of length mu from t, u; None where the
     switches accumulate.
 
@@ -215,7 +214,7 @@ def exact_steps(
     largest = 0.0
     nodes = _nodes(rows, process.u0, times, run)
 
-    def certified(mu: float, t: float, u: np.ndarray, z: np.ndarray) -> Velocity:
+    def certified(mu: float, t: float, u: Array, z: Array) -> Velocity:
         nonlocal largest
         C, M, force = process.C.at(t), factor(mu), process.times_B(u)
         largest = max(largest, M.norm(z) + M.dual_norm(force) + M.dual_norm(C.anchor))
@@ -227,7 +226,7 @@ def exact_steps(
             velocity = plan.reduction.certified(mu, before, velocity)
         return velocity
 
-    def take(t: float, mu: float, u: np.ndarray) -> Step | None:
+    def take(t: float, mu: float, u: Array) -> Step | None:
         node = next(nodes, None)
         if node is None:
             assert run.exact is not None
@@ -251,8 +250,8 @@ def exact_steps(
 
 
 def _nodes(
-    rows: Rows, u0: np.ndarray, times: np.ndarray, run: Run
-) -> Iterator[tuple[np.ndarray, np.ndarray, list[Phase]]]:
+    rows: Rows, u0: Array, times: Array, run: Run
+) -> Iterator[tuple[Array, Array, list[Phase]]]:
     """u, u' and the phases that are new at each node, as far as phases go; `run` gets them."""
     phases: list[Phase] = []
     done, before = 1, 0

@@ -9,16 +9,13 @@ from typing import Any
 
 from sweepopt.study.hard.exact import Program
 from sweepopt.study.hard.stiff import stiff_bodies
-from sweepopt.study.hard.suite import GOOD, each, option, suite_summary
+from sweepopt.study.hard.suite import GOOD, each, option, run_suite, suite_summary
 from sweepopt.study.hard.trajectories import hard_trajectories
 from sweepopt.study.hard.velocities import FAMILIES, hard_programs
 
 SUITES: dict[str, Any] = {
-    "hard": (hard_programs, ["family"]),
-    "trajectories": (hard_trajectories, ["trajectory"]),
-    "stiff": (stiff_bodies, ["body", "load", "mu_Lam", "scheme"]),
+    "hard": hard_programs,
+    "trajectories": hard_trajectories,
+    "stiff": stiff_bodies,
 }
-"""Suites by the names of their tables in a study's file, which are those of the files of their
-rows, and the columns by which rows are grouped where they are printed."""
-
-__all__ = ["FAMILIES", "GOOD", "SUITES", "Program", "each", "option", "suite_summary"]
+"""By the names of their tables in a study's file, which are those of the files of their rows."""

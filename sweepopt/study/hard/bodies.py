@@ -1,51 +1,50 @@
 """What velocities.toml names: matrices of small bodies, and what acts on a few unknowns."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.sets import Balls, Box, ConvexSet, HalfSpace, Orthant, Point, Polyhedron, product
 
 Random = np.random.Generator
 
 
-def chain(random: Random, n: int) -> np.ndarray:
+def chain(random: Random, n: int) -> Array:
     """A chain of n + 1 springs of different stiffness, held a little everywhere."""
     return rod(random.uniform(0.5, 2.0, n + 1)) + 0.01 * np.eye(n)
 
 
-def rod(k: np.ndarray) -> np.ndarray:
+def rod(k: Array) -> Array:
     """Springs in a row, held at both ends."""
     return np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
 
 
-def spectral(random: Random, low: float, high: float, n: int) -> np.ndarray:
+def spectral(random: Random, low: float, high: float, n: int) -> Array:
     """A full matrix with n eigenvalues from 10^low to 10^high."""
     Q = np.linalg.qr(random.normal(size=(n, n)))[0]
     M = (Q * np.logspace(low, high, n)) @ Q.T
     return 0.5 * (M + M.T)
 
 
-def nearly_singular(random: Random, least: float, n: int) -> np.ndarray:
+def nearly_singular(random: Random, least: float, n: int) -> Array:
     """A chain that is held so little that its smallest eigenvalue is `least`."""
     M = chain(random, n)
     return M - (np.linalg.eigvalsh(M)[0] - least) * np.eye(n)
 
 
-def graded(random: Random, low: float, n: int) -> np.ndarray:
+def graded(random: Random, low: float, n: int) -> Array:
     """A rod of cells from 1 to 10^low long, in any order."""
     return rod(1 / random.permutation(np.logspace(low, 0, n + 1)))
 
 
-def jumping(random: Random, stiff: float, n: int) -> np.ndarray:
+def jumping(random: Random, stiff: float, n: int) -> Array:
     """A rod of springs of stiffness 1 and `stiff`."""
     return rod(random.choice([1.0, stiff], n + 1))
 
 
-def slivers(random: Random, thin: float) -> np.ndarray:
+def slivers(random: Random, thin: float) -> Array:
     """The Laplacian on a rectangle of 7 by 7 cells cut in triangles, held along its sides.
 
     Linear elements on right triangles: a sum of Kronecker products of two rods.
@@ -71,17 +70,17 @@ class Contact(NamedTuple):
         A force on the edge of the set.
     """
 
-    few: np.ndarray
-    part: Callable[[np.ndarray], ConvexSet]
+    few: Array
+    part: Callable[[Array], ConvexSet]
     edge: Any = None
     block: int = 1
 
 
-def _some(random: Random, n: int, count: int) -> np.ndarray:
+def _some(random: Random, n: int, count: int) -> Array:
     return np.sort(random.permutation(n)[:count])
 
 
-def between(random: Random, low: float, high: float, count: int) -> np.ndarray:
+def between(random: Random, low: float, high: float, count: int) -> Array:
     """Numbers from low to high; by their logarithms if they are of many sizes."""
     if high > 1e3 * low:
         return 10 ** random.uniform(np.log10(low), np.log10(high), count)
@@ -139,7 +138,7 @@ def strip(random: Random, n: int, width: float) -> Contact:
     return _rows(random, n, np.outer([1, -1], random.normal(size=n)), [0.5, width - 0.5])
 
 
-def _rows(random: Random, n: int, G: np.ndarray, h: Any) -> Contact:
+def _rows(random: Random, n: int, G: Array, h: Any) -> Contact:
     return Contact(_some(random, n, G.shape[1]), lambda units: Polyhedron(G / units, h))
 
 

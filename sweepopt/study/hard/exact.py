@@ -5,8 +5,6 @@ eliminated, the rest is solved by linear complementarity problems. These need no
 solver's answer is favoured. The solution is unique.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from decimal import Decimal, localcontext
@@ -14,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import EPS, dense
 from sweepopt.sets import Balls, Box, ConvexSet, Polyhedron, shape_of
@@ -45,19 +43,19 @@ def exactly(x: Any) -> Any:
     return np.frompyfunc(Decimal, 1, 1)(x)
 
 
-def norm(M: np.ndarray, z: np.ndarray) -> float:
+def norm(M: Array, z: Array) -> float:
     """sqrt(<z, M z>)."""
     return float((z @ M @ z).sqrt())
 
 
-def eliminate(S: np.ndarray, row: Any, column: int) -> None:
+def eliminate(S: Array, row: Any, column: int) -> None:
     """Make a column of S that of the unit matrix, with its 1 in a row."""
     others = np.arange(len(S)) != row
     S[row] /= S[row, column]
     S[others] -= np.outer(S[others, column], S[row])
 
 
-def inverse(M: np.ndarray) -> np.ndarray:
+def inverse(M: Array) -> Array:
     """M^-1, M symmetric positive definite."""
     n = len(M)
     S = np.column_stack([M, exactly(np.eye(n))])
@@ -69,7 +67,7 @@ def inverse(M: np.ndarray) -> np.ndarray:
 # ---- programs ---------------------------------------------------------------------------------
 
 
-def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
+def velocity(C: ConvexSet, N: Array, q: Array) -> Array:
     """z with -z in N_C(N z + q).
 
     Raises
@@ -87,7 +85,7 @@ def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
     return -_multipliers(N, q, G, exactly(rows.d)) @ G
 
 
-def _multipliers(P: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
+def _multipliers(P: Array, q: Array, G: Array, h: Array) -> Array:
     """y >= 0 of the rows G w <= h, at w = q - P G^T y nearest to q in the metric of P^-1.
 
     Rows that are violated join the problem until there are none. In the metric of P all rows have
@@ -105,7 +103,7 @@ def _multipliers(P: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> 
     return y / scale
 
 
-def _complementary(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _complementary(H: Array, b: Array) -> Array:
     """y >= 0 with s = H y + b >= 0 and <s, y> = 0, some b < 0 and H semidefinite.
 
     Lemke's method (Cottle, Pang and Stone, The Linear Complementarity Problem, 4.4): y and s stay
@@ -132,7 +130,7 @@ def _complementary(H: np.ndarray, b: np.ndarray) -> np.ndarray:
     raise SweepoptError("C has no point")
 
 
-def _in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
+def _in_balls(N: Array, q: Array, radii: Array) -> Array:
     """The velocity for balls |w_k| <= r_k side by side, by sequential quadratic programming.
 
     At a point of C each ball is replaced by the half-space that touches it in this direction; its
@@ -172,7 +170,7 @@ class Exact(NamedTuple):
         the two is rounding of the data.
     """
 
-    z: np.ndarray
+    z: Array
     size: float
     forces: float
 
@@ -195,7 +193,7 @@ class Program:
         self._inverse = inverse(self.M)
 
     @precise()
-    def solve(self, u: np.ndarray, C: ConvexSet) -> Exact:
+    def solve(self, u: Array, C: ConvexSet) -> Exact:
         """The velocity at a state: nothing is rounded, not even B u.
 
         Raises
@@ -223,9 +221,7 @@ class Program:
         """|z - z*|_M."""
         return norm(self.M, exactly(z) - exact.z)
 
-    def compare(
-        self, exact: Exact, z: np.ndarray, certificate: float
-    ) -> tuple[float, float, float]:
+    def compare(self, exact: Exact, z: Array, certificate: float) -> tuple[float, float, float]:
         """Error and certificate of a velocity relative to `size`, and their excess.
 
         The excess is error - certificate in the unit of the forces, less ROUNDING where nothing

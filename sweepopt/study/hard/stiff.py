@@ -3,8 +3,6 @@
 A body, a load and a seed make a process; its A is scaled such that mu Lam is that of the row.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
@@ -93,9 +91,9 @@ class StiffRow(NamedTuple):
 
     body: str
     load: str
-    seed: int
     mu_Lam: float
     steps: int
+    seed: int
     scheme: str = ""
     error: float = math.nan
     over_best: float = math.nan
@@ -145,8 +143,9 @@ def stiff_bodies(
     >>> row.scheme, row.over_best < 2, row.false_sticks
     ('sdirk32', True, 0)
     """
-    for case in product(bodies, loads, seeds, stiffness, steps):
-        yield _judge(StiffRow(*case), make(*case), bounds)
+    for body, load, seed, mu_Lam, n in product(bodies, loads, seeds, stiffness, steps):
+        process = make(body, load, seed, mu_Lam, n)
+        yield _judge(StiffRow(body, load, mu_Lam, n, seed), process, bounds)
 
 
 def _judge(row: StiffRow, process: SweepingProcess, bounds: bool) -> Any:

@@ -4,13 +4,14 @@ A suite is a function of its options that yields named tuples with the fields se
 verdict; its docstring is shown in the report.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from inspect import signature
+from pathlib import Path
 from typing import Any
+
+from pandas import DataFrame
 
 from sweepopt.checks import choice, count, listed, number
 from sweepopt.driver import solve
@@ -107,11 +108,25 @@ def run_case(
     return row._replace(verdict=verdict, **entries)
 
 
-def suite_summary(rows: Sequence[Any], by: Sequence[str]) -> str:
-    """The largest numbers of each group of rows, and a line for each row that is not good."""
-    import pandas as pd
+def run_suite(suite: Iterable[Any], path: Path, progress: Callable[[str], object]) -> list[Any]:
+    """The rows of a suite, each in the file as soon as it is there: an interrupt leaves them."""
+    path.unlink(missing_ok=True)
+    rows: list[Any] = []
+    for row in suite:
+        DataFrame([row]).to_csv(path, mode="a", header=not rows, index=False)
+        rows.append(row)
+        progress(f"{path.stem}: {row[:4]}")
+    return rows
 
-    groups = pd.DataFrame(rows).drop(columns="seed").groupby(list(by), sort=False)
+
+def suite_summary(rows: Sequence[Any]) -> str:
+    """The largest numbers of rows that differ by their seed, and a line for each that is not good.
+
+    What makes a case stands in front of its seed.
+    """
+    table = DataFrame(rows)
+    by = [*table.columns[: table.columns.get_loc("seed")]]
+    groups = table.drop(columns="seed").groupby(by, sort=False)
     table = groups.max(numeric_only=True).assign(runs=groups.size())
     wrong = [row for row in rows if row.verdict not in GOOD]
     lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]

@@ -9,8 +9,6 @@ the stability function. A scheme that warns is held to p = 0, the way that the b
 adds is allowed in the size of its certificates and of rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property, partial
 from itertools import pairwise, product
@@ -21,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sweepopt.checks import HUGE
+from sweepopt.checks import HUGE, Array
 from sweepopt.driver import solve
 from sweepopt.integrate import SCHEMES, Scheme
 from sweepopt.io import read_toml
@@ -96,12 +94,12 @@ class Case:
     def __init__(self, keys: dict[str, Any], random: Random) -> None:
         n, self.keys = keys["unknowns"], keys
 
-        def draw(key: str, count: int = n) -> np.ndarray:
+        def draw(key: str, count: int = n) -> Array:
             """One number, or numbers between two by logarithm, or such a pair for each unknown."""
             ends = keys[key]
             low, high = np.transpose(ends) if np.ndim(ends) else (ends, ends)
             x = random.uniform(size=count)
-            return np.asarray(low ** (1 - x) * high**x)
+            return low ** (1 - x) * high**x
 
         (self.mu,), (steps,) = draw("step", 1), draw("steps", 1)
         self.t = self.mu * np.arange(round(steps) + 1)
@@ -129,7 +127,7 @@ class Case:
         loads = [*self.loads, *map(Constant, self.offset.tolist())]
         return self._along(self.axes, loads, self.center + self.starts)
 
-    def _along(self, axes: np.ndarray, loads: list[Any], u0: np.ndarray) -> SweepingProcess:
+    def _along(self, axes: Array, loads: list[Any], u0: Array) -> SweepingProcess:
         A, B = ((axes * x) @ axes.T for x in (self.A, self.B))
         C: ConvexSet = Box(-self.g, self.g)
         if np.count_nonzero(axes) > len(axes):
@@ -138,19 +136,19 @@ class Case:
         return SweepingProcess(A, B, Moving(C, terms, self.scale), axes @ u0)
 
     @cached_property
-    def exact(self) -> np.ndarray:
+    def exact(self) -> Array:
         """States at nodes and middles of steps, of each body on its axis, from its centre."""
         times = np.sort([*self.t, *0.5 * (self.t[1:] + self.t[:-1])])
         process = self._along(np.eye(len(self.g)), self.loads, self.starts)
         return solve(process, steps=times, scheme="exact").u
 
-    def way(self) -> np.ndarray:
+    def way(self) -> Array:
         """How far load and friction bound of each body go in each step, together."""
         steps = [*pairwise(self.t.tolist())]
         r, *f = ([one.variation(*step) for step in steps] for one in (self.scale, *self.loads))
         return np.transpose(f) + np.outer(r, self.g)
 
-    def norm(self, u: np.ndarray) -> float:
+    def norm(self, u: Array) -> float:
         """sup over times of |u|_A, |.|_B where A = 0; u of shape (times, unknowns)."""
         return float(np.sqrt(u**2 @ self.metric).max())
 
@@ -158,7 +156,7 @@ class Case:
         """The error that is right, if one is."""
         tableau = SCHEMES.get(scheme)
         if tableau is None or self.keys["refused"]:
-            return str(self.keys["refused"])
+            return self.keys["refused"]
         if not self.A.any() and not tableau.implicit:
             return "InputError"
         return "UnstableStepError" if tableau.explicit and self.mu_Lam > 2 else ""
@@ -271,7 +269,7 @@ def _sum_of_local_errors(case: Case, scheme: Scheme, order: int) -> float:
     return case.norm(sums)
 
 
-def _slips_clearly(exact: np.ndarray) -> np.ndarray:
+def _slips_clearly(exact: Array) -> Array:
     """For all steps but the first and the last, from states at nodes and middles of steps."""
     six = sliding_window_view(np.diff(exact, axis=0), 6, axis=0)[::2]
     low, high = six.min(axis=-1), six.max(axis=-1)
@@ -280,7 +278,7 @@ def _slips_clearly(exact: np.ndarray) -> np.ndarray:
     return (least > EVEN * largest) & (least > CLEAR * largest.max(axis=0))
 
 
-def _rests(case: Case, c: Sequence[float], u: np.ndarray) -> np.ndarray:
+def _rests(case: Case, c: Sequence[float], u: Array) -> Array:
     """Whether a body rests in each step, and at the run's own state and the times of its stages."""
     halves = np.diff(case.exact, axis=0) == 0
     rests = halves[::2] & halves[1::2]

@@ -4,8 +4,6 @@ What makes a program hard was listed one by one; solvers fail where two or three
 names what it is made of, and a seed makes it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from itertools import product
@@ -15,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.io import read_toml
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import SweepingProcess
@@ -31,7 +30,7 @@ EMPTY = "a strip that is missing by 1e-9"
 
 # ---- stiffness, histories ---------------------------------------------------------------------
 
-STIFFNESS: dict[str, Callable[[Random, np.ndarray], Any]] = {
+STIFFNESS: dict[str, Callable[[Random, Array], Any]] = {
     "no B": lambda random, A: None,
     "B = 0": lambda random, A: None,
     "any B": lambda random, A: chain(random, len(A)),
@@ -111,7 +110,7 @@ def _draw(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
     return getattr(bodies, function)(*given, *arguments)
 
 
-def _load(names: Names, random: Random, n: int, few: np.ndarray, edge: Any) -> np.ndarray:
+def _load(names: Names, random: Random, n: int, few: Array, edge: Any) -> Array:
     shares = entry_of(LOADS, names)
     if not shares or edge is None:
         return 3 * random.normal(size=n)

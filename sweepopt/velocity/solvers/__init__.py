@@ -1,7 +1,5 @@
 """Solvers of the velocity program: the library's names for them and how "auto" chooses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -103,20 +101,3 @@ def _curved_parts(C: ConvexSet) -> str:
 
 def _names() -> str:
     return ", ".join(REGISTRY)
-
-
-__all__ = [
-    "DAQP",
-    "NEWTON",
-    "OSQP",
-    "ActiveSet",
-    "Answer",
-    "Clarabel",
-    "Cvxpy",
-    "Newton",
-    "Small",
-    "Solve",
-    "Solver",
-    "choose",
-    "installed",
-]

@@ -14,8 +14,6 @@ w = q + L x it seeks the shortest x with  G L x <= h - G q,  z = L^-T x: the con
 square root of that of M.
 """
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from functools import cache
@@ -24,7 +22,7 @@ from importlib.util import find_spec
 import numpy as np
 import scipy.linalg
 
-from sweepopt.checks import HUGE
+from sweepopt.checks import HUGE, Array
 from sweepopt.errors import EmptySetError, brought_by
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
@@ -89,7 +87,7 @@ class DAQP(Small):
         box: ConvexSet | None = None
         unit, above, below = 0.0, free, -free
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+        def solve(q: Array, C: ConvexSet) -> Answer:
             nonlocal box, unit, above, below
             q = q / root
             force = binary(np.abs(q).max())
@@ -149,7 +147,7 @@ class ActiveSet(Small):
         M = program.M
         lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+        def solve(q: Array, C: ConvexSet) -> Answer:
             rows, z, corrected = _rows(C), np.zeros_like(q), q
             if rows is None:  # a polytope that is flat to rounding
                 return Answer(z, status="failed: no rows")
@@ -172,7 +170,7 @@ class ActiveSet(Small):
         return solve
 
 
-def _rows(C: ConvexSet) -> tuple[np.ndarray, np.ndarray] | None:
+def _rows(C: ConvexSet) -> tuple[Array, Array] | None:
     try:
         return C.halfspaces().inequalities()
     except NoHalfspacesError:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import Array
 from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.sets import CAREFUL, ConvexSet, in_turn
 from sweepopt.velocity.program import Answer, Settings, Solve, VelocityProgram
@@ -73,7 +74,7 @@ class OSQP(Settings):
         data, linear_map = _canonical(program, "OSQP")
         equal, below = data["A"].shape[0], data["F"].shape[0]
 
-        def set_up(linear: np.ndarray) -> Any:
+        def set_up(linear: Array) -> Any:
             engine = osqp.OSQP()
             engine.setup(
                 sp.csc_matrix(data["P"]),
@@ -140,7 +141,7 @@ class Clarabel(Settings):
 
         data, linear_map = _canonical(program, "CLARABEL")
 
-        def set_up(linear: np.ndarray) -> Any:
+        def set_up(linear: Array) -> Any:
             settings = clarabel.DefaultSettings()
             settings.verbose = False
             settings.max_iter = self.max_iter
@@ -164,14 +165,14 @@ class Clarabel(Settings):
 def _updated(
     program: VelocityProgram,
     linear_map: sp.csr_array,
-    set_up: Callable[[np.ndarray], Any],
+    set_up: Callable[[Array], Any],
     run: Callable[[Any], tuple[Any, int, str]],
 ) -> Solve:
     """A call sets an engine up with a linear term, or gives it another, and lets it run."""
     to_z = sp.csr_array(linear_map[:, : program.M.dim].T)
     engine: Any = None
 
-    def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+    def solve(q: Array, C: ConvexSet) -> Answer:
         nonlocal engine
         linear = linear_map @ np.concatenate([q, C.offsets])
         force = float(np.abs(linear).max()) or 1.0
@@ -277,7 +278,7 @@ class Cvxpy:
         problem, linear, parameter = state()
 
         @in_turn
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+        def solve(q: Array, C: ConvexSet) -> Answer:
             given = np.concatenate([q, C.offsets])
             # forces in units of the largest one: solvers' absolute tolerances need it
             force = np.abs(given).max() or 1.0

@@ -10,8 +10,6 @@ equation falls. Where that ends, another solver takes over. Where M is sparse an
 blocks, so is the system.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,10 +19,11 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
-from sweepopt.velocity.program import KEPT, Answer, Small, Solve, VelocityProgram
+from sweepopt.velocity.energies import KEPT
+from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
 FAR = 1e-6  # residuals over forces above it are known as well without twice the precision
@@ -85,11 +84,11 @@ class _Iteration:
         self._M, self._max_iter = M, max_iter
         self._z = np.zeros(M.dim)
         self._key: bytes = b""
-        self._step: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda z, residual: z
+        self._step: Callable[[Array, Array], Array] = lambda z, residual: z
         self._metric: tuple[ConvexSet | None, Any] = None, None
         self._start: Start | None = None
 
-    def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
+    def __call__(self, q: Array, C: ConvexSet, start: Array | None = None) -> Answer:
         self._z, iterations = self._z if start is None else start, 0
         near = not C.exact and C.block == C.dim and start is None
         if near:
@@ -102,7 +101,7 @@ class _Iteration:
                 break
         return Answer(self._z, iterations=iterations, status="iterated")
 
-    def _nearest(self, q: np.ndarray, C: ConvexSet) -> np.ndarray:
+    def _nearest(self, q: Array, C: ConvexSet) -> Array:
         """About z, for a C whose own projection iterates: from one in the metric of M^-1."""
         if self._metric[0] is not C:
             self._metric = C, InMetric(C, dense(self._M.M))
@@ -113,8 +112,8 @@ class _Iteration:
         return z
 
     def _iterated(
-        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool, stalled: int
-    ) -> tuple[np.ndarray, bool, int]:
+        self, q: Array, C: ConvexSet, z: Array, damped: bool, stalled: int
+    ) -> tuple[Array, bool, int]:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
@@ -150,7 +149,7 @@ class _Iteration:
             z, iteration = following, iteration + 1
         return z, False, iteration
 
-    def _turn(self, D: list[Blocks], T: np.ndarray) -> bool:
+    def _turn(self, D: list[Blocks], T: Array) -> bool:
         """Whether there is a tangent for the derivative D."""
         key = b"".join(block.tobytes() for _, block in D)
         if key != self._key:
@@ -163,7 +162,7 @@ class _Iteration:
         return True
 
 
-def _tangent(M: Matrix, D: list[Blocks], T: np.ndarray) -> Callable[..., np.ndarray]:
+def _tangent(M: Matrix, D: list[Blocks], T: Array) -> Callable[..., Array]:
     """(z, residual) -> z + dz, 0 where D says that it sticks.
 
     The matrix for the others is M + T ((I - D)^-1 - I), which is symmetric; an eigenvalue 1 of D,
@@ -185,7 +184,7 @@ def _tangent(M: Matrix, D: list[Blocks], T: np.ndarray) -> Callable[..., np.ndar
             J[rows, columns] += entries
     solve = factorised(J[free][:, free]).solve if free.any() else np.copy
 
-    def step(z: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    def step(z: Array, residual: Array) -> Array:
         following = np.where(free, z, 0.0)
         stopped = z - following
         right = M @ stopped if stopped.any() else stopped
