@@ -66,7 +66,7 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
         if any(isinstance(C, StateDependent) for C in operands):
             raise InputError(WITHOUT_STATE)
         translated = _translated(operation, operands) if linear else None
-        by_data = translated or _with_rows(operation, operands)
+        by_data = translated or _with_rows(operation, operands, linear)
         if by_data is not None:
             return by_data
         fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
@@ -90,69 +90,80 @@ def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Movin
 
     None where another thing moves.
     """
-    shapes, terms, scale = list(operands), [], None
+    shapes, moves, scale = list(operands), [], None
     alone = sum(isinstance(C, Operators) for C in operands) == 1
     points = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
-    origin = operation(*points).anchor  # not 0 where a vector is added
     for k, C in enumerate(operands):
         if not isinstance(C, MovingSet):
             continue
         if not (type(C) is Moving and _translates_by_data(C) and (C.scale is None or alone)):
             return None
         shapes[k], scale = C.shape, C.scale
-        for phi, f in C.center.terms if C.center else ():
-            image = operation(*points[:k], Point(f), *points[k + 1 :])
-            terms.append((phi, image.anchor - origin))
-    made = operation(*shapes)
-    if scale is None:
-        return Moving(made, Separable(terms) if terms else None)
-    return Moving(made - origin, Separable([(Constant(), origin), *terms]), scale)
+        moves += [(k, phi, Point(f)) for phi, f in (C.center.terms if C.center else ())]
+    terms, made = _linear(operation, points, moves, lambda C: C.anchor), operation(*shapes)
+    origin = terms[0][1]  # not 0 where a vector is added
+    return Moving(made - origin if origin.any() else made, Separable(terms), scale)
 
 
-def _with_rows(operation: Callable[..., Any], operands: Sequence[Any]) -> MovingOffsets | None:
-    """The rows of what is made of { w : G w <= h(t) }: their offsets are linear in h.
+def _linear(
+    operation: Callable[..., Any],
+    bases: list[Any],
+    moves: list[tuple[int, Any, Any]],
+    measure: Callable[[Any], np.ndarray],
+) -> list[tuple[Any, np.ndarray]]:
+    """What histories add to a measure of the result: (k, phi, S) puts S in place of bases[k]."""
+    origin = measure(operation(*bases))
+    each = [
+        (phi, measure(operation(*bases[:k], S, *bases[k + 1 :])) - origin) for k, phi, S in moves
+    ]
+    return [(Constant(), origin), *each]
+
+
+def _with_rows(
+    operation: Callable[..., Any], operands: Sequence[Any], linear: bool
+) -> MovingOffsets | None:
+    """The rows of what is made of sets with rows that move: their offsets are linear in those.
 
     None where a set has no rows, or another thing moves.
     """
-    moving = {k: _rows(C) for k, C in enumerate(operands) if isinstance(C, MovingSet)}
-    known = {k: C for k, C in moving.items() if C is not None}
-    if len(known) < len(moving):
-        return None
-    shapes = [known[k].shape if k in known else C for k, C in enumerate(operands)]
-    still = operation(*shapes)
-    if type(still) is Aligned and still.unknowns is not None and still.parts[0] is shapes[-1]:
-        return MovingOffsets(still, known[1].offsets)  # an image on some unknowns
-    if still.dim > DENSE:
-        return None
+    bases, moves, scales = list(operands), [], []
     try:
+        for k, C in enumerate(operands):
+            if isinstance(C, MovingSet):
+                bases[k], terms = _moving_rows(C, linear)
+                moves += [(k, phi, S) for phi, S in terms]
+                scales += [C.scale] if isinstance(C, Moving) and C.scale else []
+        still = operation(*bases)
+        if type(still) is Aligned and still.unknowns is not None and still.parts[0] is bases[-1]:
+            return MovingOffsets(still, operands[1].offsets)  # an image on some unknowns
+        if still.dim > DENSE:
+            return None
         G, d = still.halfspaces().inequalities()
+        terms = _linear(operation, bases, moves, lambda C: C.halfspaces().inequalities()[1])
     except NoHalfspacesError:
         return None
-    terms: list[Any] = [(Constant(), d)]
-    for k, C in known.items():
-        for phi, h in C.offsets.terms:
-            one = operation(*shapes[:k], shapes[k].with_offsets(h), *shapes[k + 1 :])
-            terms.append((phi, one.halfspaces().inequalities()[1] - d))
-    return MovingOffsets(Polyhedron(G, 0 * d), Separable(terms))
+    # the last rows say that no scale is negative
+    rows = np.eye(len(G) + len(scales))
+    terms = [(phi, h @ rows[: d.size]) for phi, h in terms]
+    terms += zip(scales, rows[d.size :], strict=True)
+    return MovingOffsets(Polyhedron(rows[:, : d.size] @ G, 0 * rows[0]), Separable(terms))
 
 
-def _rows(C: MovingSet) -> Any:
-    """C(t) as { w : G w <= h(t) }, where that is data.
+def _moving_rows(C: MovingSet, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
+    """A set with rows, all offsets 0, and what to put in its place for each history of C(t).
 
-    Of c(t) + r(t) S these are r(t) >= 0 and G w <= r(t) d + G c(t).
+    A linear operation makes boxes of boxes.
     """
-    if isinstance(C, MovingOffsets):
-        return C if isinstance(C.offsets, Separable) else None
+    if isinstance(C, MovingOffsets) and isinstance(C.offsets, Separable):
+        return C.shape, [(phi, C.shape.with_offsets(h)) for phi, h in C.offsets.terms]
     if not (type(C) is Moving and _translates_by_data(C) and C.dim <= DENSE):
-        return None
-    try:
-        G, d = C.shape.halfspaces().inequalities()
-    except NoHalfspacesError:
-        return None
-    if C.scale is not None:
-        G, d = np.vstack([np.zeros(C.dim), G]), np.append(1.0, d)
-    moved = [(phi, G @ f) for phi, f in (C.center.terms if C.center else ())]
-    return MovingOffsets(Polyhedron(G, 0 * d), Separable([(C.scale or Constant(), d), *moved]))
+        raise NoHalfspacesError
+    S: Any = C.shape
+    if not (linear and isinstance(S, Box)):
+        S = Polyhedron(*S.halfspaces().inequalities())
+    base, G = S.with_offsets(0 * S.offsets), np.eye(S.dim) if S.singleton else S.halfspaces().N
+    moved = [(phi, S.with_offsets(G @ f)) for phi, f in (C.center.terms if C.center else ())]
+    return base, [(C.scale or Constant(), S), *moved]
 
 
 def _translates_by_data(C: Moving) -> bool:

@@ -6,7 +6,7 @@ import copy
 import math
 from functools import cached_property
 from inspect import signature
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -116,6 +116,20 @@ class Polyhedron(ConvexSet):
         other._set_offsets(h)
         return other
 
+    def member(self, h: Any) -> ConvexSet:
+        """As `with_offsets`; a box if each row bounds a single unknown and a point is left."""
+        bounds, other = self._bounds, self.with_offsets(h)
+        ends = bounds and bounds.ends(other.offsets)
+        return Box(*ends) if ends and (ends[0] <= ends[1]).all() else other
+
+    @cached_property
+    def _bounds(self) -> Bounds | None:
+        """The rows, if each, but for zero rows, bounds another side of a single unknown."""
+        rows = sp.coo_array(self.rows)
+        i, j, factor = (x[rows.data != 0] for x in (*rows.coords, rows.data))
+        distinct = np.unique(i).size == np.unique(2 * j + (factor > 0)).size == i.size
+        return Bounds(self.dim, i, j, factor) if distinct else None
+
     @cached_property
     def selection(self) -> Selection | None:
         """The unknowns beside those that an equation fixes, if that is worth eliminating these."""
@@ -157,6 +171,8 @@ class Polyhedron(ConvexSet):
         each. The rows of G that bind for one z do so for all z of the cone that they generate, and
         for another slack where the point in which they meet satisfies the other rows.
         """
+        if self._bounds is not None:
+            return self._bounds.multipliers(rows, self.h.size) / self._units
         multipliers, left = np.zeros((len(rows), self.h.size)), np.flatnonzero(rows.any(axis=1))
         multipliers[left] = np.inf
         slack = np.broadcast_to(slack, multipliers.shape)
@@ -259,6 +275,10 @@ class Polyhedron(ConvexSet):
         """
         points, h = rows.copy(), self.h if offsets is None else offsets
         h = np.broadcast_to(h / self._units, (len(rows), self.h.size))
+        if self._bounds is not None:
+            lower, upper = self._bounds.ends(h)
+            if (lower <= upper).all():
+                return np.clip(rows, lower, upper)
         left = np.flatnonzero((rows @ self.rows.T > h).any(axis=1))
         while left.size:
             v, serves = rows[left], np.arange(left.size) == 0
@@ -410,6 +430,32 @@ def _simplest(G: sp.csr_array, h: np.ndarray) -> ConvexSet:
 def _columns(G: Any, units: np.ndarray) -> Any:
     """G with its columns in these units; dense rows stay out of sparse products."""
     return G @ sp.diags_array(units) if sp.issparse(G) else G * units
+
+
+class Bounds(NamedTuple):
+    """Rows i of a polyhedron, factor w[j] <= h[i], no two of them for one side of an unknown."""
+
+    dim: int
+    i: np.ndarray
+    j: np.ndarray
+    factor: np.ndarray
+
+    def ends(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The bounds of w for an h, or for each of its rows; crossed if a zero row has no point."""
+        lower, upper = np.full((2, *h.shape[:-1], self.dim), np.inf)
+        lower = -lower
+        up, sides = self.factor > 0, h[..., self.i] / self.factor
+        lower[..., self.j[~up]], upper[..., self.j[up]] = sides[..., ~up], sides[..., up]
+        upper[(np.delete(h, self.i, axis=-1) < 0).any(axis=-1)] = -np.inf
+        return lower, upper
+
+    def multipliers(self, rows: np.ndarray, count: int) -> np.ndarray:
+        """y >= 0 with G^T y = z for each row z, shape (k, count); inf where there is none."""
+        y, free = np.zeros((len(rows), count)), np.ones((2, self.dim), dtype=bool)
+        y[:, self.i] = np.maximum(rows[:, self.j] / self.factor, 0.0)
+        free[(self.factor > 0).astype(int), self.j] = False
+        y[((rows < 0) & free[0] | (rows > 0) & free[1]).any(axis=1)] = np.inf
+        return y
 
 
 class HalfSpace(Polyhedron):
