@@ -30,13 +30,14 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     binary,
-    identity,
     places,
     same_array,
 )
 from sweepopt.sets.curves import basis
+from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.programs import normal_by_program, support_by_program
 from sweepopt.sets.projection import Projection, Projector, Start
+from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -150,11 +151,7 @@ class Lifted(ConvexSet):
         80 discs cut with a box are 80 small sets; as one set, their steps miss tol = 1e-9.
         """
         E, F, stacked = self.lifted
-        if np.bincount(E.indices).max(initial=0) == self.dim:
-            return None  # one s holds all unknowns together
         parts = [C for part in stacked for C in part.factors()]
-        if parts[0].dim == self.dim and (E[:, : self.dim] != identity(self.dim)).nnz == 0:
-            return None  # the first part holds all unknowns together
         owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
         member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
         table = sp.vstack([abs(E), abs(F), member])
@@ -209,8 +206,15 @@ class Lifted(ConvexSet):
         return bool(p @ way > distance * np.linalg.norm(p) + rounding)
 
     def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
-        """That of one of the sets that C is made of, if it is C's too."""
-        return None
+        """That which another set knows: one that C is made of, or by Moreau the polar cone."""
+        if self._polar is None or not self._polar.exact:
+            return None
+        w = self._polar.normal(v)
+        p = v - w
+        # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
+        beside = np.abs(p).max() > ROUNDING * np.abs(v).max()
+        p = self._polar.project(p) if beside else 0 * p
+        return NormalPair(p, w, 0.0, _rounded(v))
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         """The projection of v and its normal, exact to rounding; None if they are not found."""
@@ -243,10 +247,14 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        if not self.certifiable or self._blocks is not None or self._pair_of_one(w) is not None:
-            return self._nearest(w).w
-        near = self.near(w)
-        return near.w.copy() if near.exact else self._nearest(w).w
+        if self.certifiable and self._blocks is None:
+            pair = self._pair_of_one(w)
+            if pair is not None:
+                return pair.w
+            near = self.near(w)
+            if near.exact:
+                return near.w.copy()
+        return self._nearest(w).w
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """Rows are points of curves: each projection starts from the one before."""
@@ -326,6 +334,18 @@ class Lifted(ConvexSet):
             return None
         w = self.near(v).w.copy()
         return NormalPair(v - w, w, self.gap(v - w, w), _rounded(v))
+
+    @cached_property
+    def _polar(self) -> Polyhedron | None:
+        """{ p : E^T p in S° } for a cone S that is a box: active sets project on it."""
+        E, F, _ = self.lifted
+        if F.shape[0] or not isinstance(self.part, Box) or self.part.offsets.any():
+            return None
+        N, d, *_ = self.part.polar().halfspaces()
+        return Polyhedron(N @ E.T, d)
+
+    def polar(self) -> ConvexSet:
+        return self._polar or super().polar()
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)

@@ -44,7 +44,7 @@ from sweepopt.sets.moving import (
     MovingSet,
     StateDependent,
 )
-from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
+from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
 
@@ -327,8 +327,6 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
             return reduce(add, (_image(M[:, at], S) for S, at in each))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
-    if isinstance(C, GeneratedCone):
-        return GeneratedCone(C.G @ M.T)
     if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:
         radius, root = (1.0, C.root) if isinstance(C, Ellipsoid) else (C.radius, np.eye(C.dim))
         return BallImage(M @ C.center, radius, dense(root @ M.T))
@@ -336,8 +334,6 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         # columns of numbers near 1: their units, powers of two, go to the set
         units = sp.diags_array(1 / row_units(COLUMN, M.T))
         M, C = M @ units, Polyhedron(C.G @ units, C.h)
-    elif isinstance(C, Box) and not C.offsets.any():  # <p, M s> <= 0 for all s of the cone
-        return GeneratedCone(C.polar().halfspaces().N @ M.T)
     return Lifted(C.form().image(M))
 
 
