@@ -65,7 +65,7 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
             return operation(*operands)
         if any(isinstance(C, StateDependent) for C in operands):
             raise InputError(WITHOUT_STATE)
-        translated = _translated(operation, operands) if linear else None
+        translated = linear and _translated(operation, operands)
         by_data = translated or _with_rows(operation, operands, linear)
         if by_data is not None:
             return by_data
@@ -94,12 +94,12 @@ def _translated(operation: Callable[..., Any], operands: Sequence[Any]) -> Movin
     alone = sum(isinstance(C, Operators) for C in operands) == 1
     points = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
     for k, C in enumerate(operands):
-        if not isinstance(C, MovingSet):
-            continue
-        if not (type(C) is Moving and _translates_by_data(C) and (C.scale is None or alone)):
+        translations = _translations(C)
+        if translations is not None and (C.scale is None or alone):
+            shapes[k], scale = C.shape, C.scale
+            moves += [(k, phi, Point(f)) for phi, f in translations]
+        elif isinstance(C, MovingSet):
             return None
-        shapes[k], scale = C.shape, C.scale
-        moves += [(k, phi, Point(f)) for phi, f in (C.center.terms if C.center else ())]
     terms, made = _linear(operation, points, moves, lambda C: C.anchor), operation(*shapes)
     origin = terms[0][1]  # not 0 where a vector is added
     return Moving(made - origin if origin.any() else made, Separable(terms), scale)
@@ -149,25 +149,30 @@ def _with_rows(
     return MovingOffsets(Polyhedron(rows[:, : d.size] @ G, 0 * rows[0]), Separable(terms))
 
 
-def _moving_rows(C: MovingSet, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
+def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
     """A set with rows, all offsets 0, and what to put in its place for each history of C(t).
 
     A linear operation makes boxes of boxes.
     """
     if isinstance(C, MovingOffsets) and isinstance(C.offsets, Separable):
         return C.shape, [(phi, C.shape.with_offsets(h)) for phi, h in C.offsets.terms]
-    if not (type(C) is Moving and _translates_by_data(C) and C.dim <= DENSE):
+    translations = _translations(C)
+    if translations is None or C.dim > DENSE:
         raise NoHalfspacesError
     S: Any = C.shape
     if not (linear and isinstance(S, Box)):
         S = Polyhedron(*S.halfspaces().inequalities())
     base, G = S.with_offsets(0 * S.offsets), np.eye(S.dim) if S.singleton else S.halfspaces().N
-    moved = [(phi, S.with_offsets(G @ f)) for phi, f in (C.center.terms if C.center else ())]
+    moved = [(phi, S.with_offsets(G @ f)) for phi, f in translations]
     return base, [(C.scale or Constant(), S), *moved]
 
 
-def _translates_by_data(C: Moving) -> bool:
-    return C.center is None or isinstance(C.center, Separable)
+def _translations(C: Any) -> Sequence[tuple[Any, np.ndarray]] | None:
+    """The terms of the center of a Moving set, if that is data."""
+    if type(C) is Moving and C.center is None:
+        return ()
+    by_data = type(C) is Moving and isinstance(C.center, Separable)
+    return C.center.terms if by_data else None
 
 
 @partial(over_time, linear=True)

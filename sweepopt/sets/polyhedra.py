@@ -436,24 +436,22 @@ class Bounds(NamedTuple):
         """The bounds of w for an h, or for each of its rows; crossed if a zero row has no point."""
         lower, upper = np.full((2, *h.shape[:-1], self.dim), np.inf)
         lower, up, sides = -lower, self.factor > 0, h[..., self.i] / self.factor
-        np.maximum.at(lower, (..., self.j[~up]), sides[..., ~up])
-        np.minimum.at(upper, (..., self.j[up]), sides[..., up])
+        np.maximum.at(lower.T, self.j[~up], sides[..., ~up].T)
+        np.minimum.at(upper.T, self.j[up], sides[..., up].T)
         upper[(np.delete(h, self.i, axis=-1) < 0).any(axis=-1)] = -np.inf
         return lower, upper
 
     def multipliers(self, rows: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """As `Polyhedron.multiplier_rows`: of the rows for one side those with the least slack."""
-        y, at = np.zeros((len(rows), slack.shape[-1])), (..., 2 * self.j + (self.factor > 0))
+        y, side = np.zeros((len(rows), slack.shape[-1])), 2 * self.j + (self.factor > 0)
         slack = np.broadcast_to(slack, y.shape)[:, self.i] / np.abs(self.factor)
-        least, count = (
-            np.full((len(rows), 2 * self.dim), np.inf),
-            np.zeros((len(rows), 2 * self.dim)),
-        )
-        np.minimum.at(least, at, slack)
-        nearest = slack == least[at]
-        np.add.at(count, at, nearest)
+        least = np.full((len(rows), 2 * self.dim), np.inf)
+        count = np.zeros_like(least)
+        np.minimum.at(least.T, side, slack.T)
+        nearest = slack == least[:, side]
+        np.add.at(count.T, side, nearest.T)
         pull = np.maximum(rows[:, self.j] / self.factor, 0.0)
-        y[:, self.i] = np.where(nearest, pull / count[at], 0.0)
+        y[:, self.i] = np.where(nearest, pull / count[:, side], 0.0)
         free = np.isinf(least).reshape(*rows.shape, 2)
         y[((rows < 0) & free[..., 0] | (rows > 0) & free[..., 1]).any(axis=1)] = np.inf
         return y
