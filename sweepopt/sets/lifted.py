@@ -208,13 +208,13 @@ class Lifted(ConvexSet):
 
     def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
         """That which another set knows: one that C is made of, or by Moreau the polar cone."""
-        if self._polar is None or not self._polar.exact:
+        if self.polar_cone is None or not self.polar_cone.exact:
             return None
-        w = self._polar.normal(v)
+        w = self.polar_cone.normal(v)
         p = v - w
         # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
         beside = np.abs(p).max() > ROUNDING * np.abs(v).max()
-        p = self._polar.project(p) if beside else 0 * p
+        p = self.polar_cone.project(p) if beside else 0 * p
         return NormalPair(p, w, 0.0, _rounded(v))
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
@@ -336,7 +336,7 @@ class Lifted(ConvexSet):
         return NormalPair(pair.p / step, pair.w, pair.gap / step, off._replace(p=off.p / step))
 
     @cached_property
-    def _polar(self) -> Polyhedron | None:
+    def polar_cone(self) -> Polyhedron | None:
         """{ p : E^T p in S° } for a cone S that is a box: active sets project on it."""
         E, F, _ = self.lifted
         if F.shape[0] or not isinstance(self.part, Box) or self.part.offsets.any():
@@ -345,7 +345,7 @@ class Lifted(ConvexSet):
         return Polyhedron(N @ E.T, d)
 
     def polar(self) -> ConvexSet:
-        return self._polar or super().polar()
+        return self.polar_cone or super().polar()
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
