@@ -296,6 +296,7 @@ def made_of_rows(kind, random):
     h = [(so.Constant(), random.uniform(0.8, 1.5, 5)), (so.Sine(0.2, 1.3), random.normal(size=5))]
     P = so.Polyhedron(random.normal(size=(5, 2)), so.Separable(h))
     waves = [(so.Sine(0.4, 1.1, 0.5), [1.0, -1.0]), (so.Triangle(0.5, 1.7), [0.0, 1.0])]
+    narrows = so.Sine(0.3, 1.7, offset=1.0)
     breathes = so.Table([0.0, 0.7, 2.0], [1.0, 0.6, 1.2])
     box = so.Moving(so.Box([-1.5, -1.2], [1.4, 1.6]), so.Separable(waves), breathes)
     return {
@@ -304,13 +305,18 @@ def made_of_rows(kind, random):
         "2P + v": lambda: 2 * P + [0.3, -0.2],
         "v - (P & C)": lambda: [0.1, 0.2] - (P & box),
         "product": lambda: so.product(-P, box),
+        "boxes scaled apart": lambda: so.product(-box, so.Moving(so.Box(-1, 1), scale=narrows)),
+        "P + c": lambda: P + so.Moving(so.Point([0.2, 0.1]), so.Separable(waves)),
+        "C + D": lambda: box + so.Moving(so.Box([-1, 0], [0, 2]), scale=narrows),
         "on two of three": lambda: so.image([[0, 1], [0, 0], [1, 0]], P & box),
     }[kind]()
 
 
 @pytest.mark.parametrize("A", [0.3, 0.0])
 @pytest.mark.parametrize(
-    "kind", ["P & C", "C & D", "2P + v", "v - (P & C)", "product", "on two of three"]
+    "kind",
+    ["P & C", "C & D", "2P + v", "v - (P & C)", "product", "on two of three"]
+    + ["boxes scaled apart", "P + c", "C + D"],
 )
 def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_trajectory(kind, A):
     random = np.random.default_rng(8)

@@ -294,6 +294,11 @@ class Aligned(ConvexSet):
         part: Any = self.parts[0]
         return Aligned(part.with_offsets(h), unknowns=self.unknowns, dim=self.dim)
 
+    def member(self, h: np.ndarray) -> Aligned:
+        """As that of the polyhedron."""
+        part: Any = self.parts[0]
+        return Aligned(part.member(h), unknowns=self.unknowns, dim=self.dim)
+
     @property
     def anchor(self) -> np.ndarray:
         return self._to(self._joined([S.anchor for S in self.parts]))

@@ -39,9 +39,6 @@ STEPS = 100  # of Newton's method, a bound that is not met: each change of regim
 class _InBlocks(ConvexSet):
     """Sets of one block after the other in the vector."""
 
-    def weights(self, tau: np.ndarray) -> np.ndarray:
-        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return assembled(self.blocks(v), self.dim)
 

@@ -470,10 +470,9 @@ class ConvexSet(Operators, ABC):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         """Positive weights near tau in whose metric `project` is the projection too.
 
-        One number for all entries, but for a product of sets one for each factor: every factor
-        keeps its own units.
+        One number for the unknowns of each block: every factor of a product keeps its own units.
         """
-        return np.full(self.dim, float(np.mean(tau)))
+        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         """A generalised derivative of `project` at v; None where none is known.

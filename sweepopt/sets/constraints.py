@@ -303,18 +303,14 @@ def in_dual(y: cp.Expression, K: list[Block]) -> list[cp.Constraint]:
         elif kind == "soc":
             dual.append(cp.SOC(part[0], part[1:]))
         elif kind == "psd":
-            dual.append(cp.reshape(_matrix(more) @ part, (more, more), order="F") >> 0)
+            # columns of one triangle are, backwards, rows of the other; the diagonal adds up
+            shares = np.full(part.size, np.sqrt(0.5))
+            shares[np.cumsum(np.arange(more) + 1) - 1] = 0.5
+            triangle = cp.vec_to_upper_tri(cp.multiply(shares, part)[::-1])
+            dual.append(triangle + triangle.T >> 0)
         elif kind == "exp":
             dual.append(cp.ExpCone(-part[1], -part[0], np.e * part[2]))
         elif kind == "power":
             a = np.array(more)
             dual.append(cp.PowConeND(cp.multiply(1 / a, part[:-1]), part[-1], a))
     return dual
-
-
-def _matrix(n: int) -> sp.csr_array:
-    """From the rows of a positive semidefinite block to the n^2 entries of its matrix."""
-    places = sp.lil_array((n * n, n * (n + 1) // 2))
-    for row, (j, i) in enumerate(zip(*np.tril_indices(n), strict=True)):
-        places[[i + n * j, j + n * i], row] = 1.0 if i == j else np.sqrt(0.5)
-    return sp.csr_array(places)

@@ -18,7 +18,8 @@ import scipy.sparse as sp
 from sweepopt.sets.aligned import Aligned
 from sweepopt.sets.balls import Ball, Balls, Ellipsoid
 from sweepopt.sets.base import ConvexSet, places, same_array
-from sweepopt.sets.polyhedra import GeneratedCone, Polyhedron
+from sweepopt.sets.lifted import Lifted
+from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
 
@@ -74,8 +75,8 @@ class Statement:
                 y = cp.Variable(C.h.size, self.name("y"), nonneg=True)
                 self.constraints.append(self.data("G", C.G).T @ y == p)
                 return self.data("h", C.h) @ y
-            case GeneratedCone():
-                self.constraints.append(self.data("G", C.G) @ p <= 0)
+            case Lifted() if C.polar_cone:
+                self.constraints.append(self.data("G", C.polar_cone.G) @ p <= 0)
                 return 0
             case Aligned() if C.whole:
                 r = abs(C.factor)

@@ -31,13 +31,14 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     binary,
-    identity,
     places,
     same_array,
 )
 from sweepopt.sets.curves import basis
+from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.programs import normal_by_program, support_by_program
 from sweepopt.sets.projection import Projection, Projector, Start
+from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -65,6 +66,7 @@ class Lifted(ConvexSet):
             lifted = lifted._replace(F=lifted.F / unit)
         self.lifted, self.dim, self.part = lifted, lifted.E.shape[0], product_of(lifted.parts)
         self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
+        self._cut = lifted.F.shape[0] > 0
         self._unit = binary(float(np.abs(lifted.E.data).max(initial=0.0)))
 
     def form(self) -> Form:
@@ -91,12 +93,12 @@ class Lifted(ConvexSet):
         return Features([multipliers, *y], constraints)
 
     def support(self, z: np.ndarray) -> float:
-        if self.lifted.F.shape[0]:
+        if self._cut:
             return support_by_program(self, z)
         return self.part.support(self._seen(z))
 
     def support_rows(self, rows: np.ndarray) -> np.ndarray:
-        if self.lifted.F.shape[0]:
+        if self._cut:
             return super().support_rows(rows)
         return self.part.support_rows(self._seen(rows.T).T)
 
@@ -119,13 +121,13 @@ class Lifted(ConvexSet):
         )
 
     def magnitude(self) -> float:
-        if self.lifted.F.shape[0]:
+        if self._cut:
             return super().magnitude()
         each = zip(self._norms, self.lifted.parts, strict=True)
         return sum(size * part.magnitude() for size, part in each if size)
 
     def _distance(self, other: ConvexSet) -> float | None:
-        if self.lifted.F.shape[0] or not (isinstance(other, Lifted) and self.same_cone(other)):
+        if self._cut or not (isinstance(other, Lifted) and self.same_cone(other)):
             return None
         each = zip(self._norms, self.lifted.parts, other.lifted.parts, strict=True)
         bounds = [(size, C.distance_bound(D)) for size, C, D in each]
@@ -151,11 +153,7 @@ class Lifted(ConvexSet):
         80 discs cut with a box are 80 small sets; as one set, their steps miss tol = 1e-9.
         """
         E, F, stacked = self.lifted
-        if np.bincount(E.indices).max(initial=0) == self.dim:
-            return None  # one s holds all unknowns together
         parts = [C for part in stacked for C in part.factors()]
-        if parts[0].dim == self.dim and (E[:, : self.dim] != identity(self.dim)).nnz == 0:
-            return None  # the first part holds all unknowns together
         owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
         member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
         table = sp.vstack([abs(E), abs(F), member])
@@ -188,7 +186,7 @@ class Lifted(ConvexSet):
     def _projection(self, v: np.ndarray, start: Start | None = None) -> Projection:
         near = self._projector(v.copy(), start)
         limit = TENSION_EXACT if near.exact else TENSION
-        cut = bool(self.lifted.F.shape[0]) and self.lifted.small
+        cut = self._cut and self.lifted.small
         # a polyhedron's is linear in the data, however large its multipliers are
         sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
         if cut and not sure and near.splitting.is_tense(near, limit):
@@ -210,26 +208,39 @@ class Lifted(ConvexSet):
         return bool(p @ way > distance * np.linalg.norm(p) + rounding)
 
     def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
-        """That of one of the sets that C is made of, if it is C's too."""
-        return None
+        """That which another set knows: one that C is made of, or by Moreau the polar cone."""
+        if self.polar_cone is None or not self.polar_cone.exact:
+            return None
+        w = self.polar_cone.normal(v)
+        p = v - w
+        # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
+        beside = np.abs(p).max() > ROUNDING * np.abs(v).max()
+        p = self.polar_cone.project(p) if beside else 0 * p
+        return NormalPair(p, w, 0.0, _rounded(v))
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
-        """The projection of v and its normal, exact to rounding; None if they are not found."""
+        """The projection of v and its normal, exact to rounding; None if they are not found.
+
+        Without rows F a point of C, and what is left of v, where no projection is exact.
+        """
         pair = self._pair_of_one(v)
         if pair is not None:
             return pair
         near = self.near(v) if self.certifiable else None
         if near is None or not near.exact:
-            return None
+            if near is None or self._cut:
+                return None
+            p = v - near.w
+            return NormalPair(p, near.w.copy(), self.gap(p, near.w), _rounded(v))
         p = near.splitting.normal(near)
-        if not self.lifted.F.shape[0] and np.isinf(self.support(p)):
+        if not self._cut and np.isinf(self.support(p)):
             # the rounding of v has left the domain of sigma, where all p - P_{rC}(p) are
             far = self._projection(FAR * p)
             p = far.splitting.normal(far) / FAR if far.exact else p
         size = np.abs(p).max()
         noise = np.abs(p) <= ROUNDING * (size if size > ROUNDING * np.abs(v).max() else np.inf)
         clean = np.where(noise, 0.0, p)
-        if self.lifted.F.shape[0] or np.isfinite(self.support(clean)):
+        if self._cut or np.isfinite(self.support(clean)):
             p = clean
         return NormalPair(p, near.w.copy(), 0.0)
 
@@ -237,17 +248,21 @@ class Lifted(ConvexSet):
         """The projection of v and its normal, as exact as they are found."""
         if self._blocks is not None:
             return NormalPair(self._blocks.normal(v), self._blocks.project(v), 0.0)
-        pair = self._pair(v) or self._pair_nearby(v)
+        pair = self._pair(v)
         if pair is None:
             p = normal_by_program(self, v)
             pair = NormalPair(p, v - p, 0.0)
         return pair
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        if not self.certifiable or self._blocks is not None or self._pair_of_one(w) is not None:
-            return self._nearest(w).w
-        near = self.near(w)
-        return near.w.copy() if near.exact else self._nearest(w).w
+        if self.certifiable and self._blocks is None:
+            pair = self._pair_of_one(w)
+            if pair is not None:
+                return pair.w
+            near = self.near(w)
+            if near.exact:
+                return near.w.copy()
+        return self._nearest(w).w
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """Rows are points of curves: each projection starts from the one before."""
@@ -272,7 +287,7 @@ class Lifted(ConvexSet):
         For w* = P_C(w + t p) the vector w + t p - w* is normal at w*, so that sigma(C, p) is at
         most <p, w*> + (|w* - w| sup |C| - <w* - w, w*>) / t, which is exact where w* = w.
         """
-        size = self.magnitude() if self.lifted.F.shape[0] else math.inf
+        size = self.magnitude() if self._cut else math.inf
         if not math.isfinite(size):
             return super().supports_along(p, w)
         begin = basis(w.shape[1] - 1, np.array([0.0, 0.5, 1.0])) @ w
@@ -312,7 +327,7 @@ class Lifted(ConvexSet):
             return self._blocks.normal_pair(p, w, tau)
         step = float(np.mean(tau))
         v = w + step * p
-        pair = self._pair(v) or self._pair_nearby(v)
+        pair = self._pair(v)
         if pair is None:
             return None
         off = pair.perturbation
@@ -321,18 +336,23 @@ class Lifted(ConvexSet):
             off = near.splitting.perturbation(near, pair.p) or _rounded(v)
         return NormalPair(pair.p / step, pair.w, pair.gap / step, off._replace(p=off.p / step))
 
-    def _pair_nearby(self, v: np.ndarray) -> NormalPair | None:
-        """A point of C, and what is left of v, where no projection is exact."""
-        if self.lifted.F.shape[0] or not self.certifiable:
+    @cached_property
+    def polar_cone(self) -> Polyhedron | None:
+        """{ p : E^T p in S° } for a cone S that is a box: active sets project on it."""
+        E, F, _ = self.lifted
+        if F.shape[0] or not isinstance(self.part, Box) or self.part.offsets.any():
             return None
-        w = self.near(v).w.copy()
-        return NormalPair(v - w, w, self.gap(v - w, w), _rounded(v))
+        N, d, *_ = self.part.polar().halfspaces()
+        return Polyhedron(N @ E.T, d)
+
+    def polar(self) -> ConvexSet:
+        return self.polar_cone or super().polar()
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
         if self._blocks is not None:
             self._blocks.require_nonempty(where)
-        elif self.lifted.F.shape[0] and self.certifiable and self._is_empty():
+        elif self._cut and self.certifiable and self._is_empty():
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
 
     def _is_empty(self) -> bool:

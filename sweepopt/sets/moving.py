@@ -282,7 +282,7 @@ class MovingOffsets(MovingSet):
         self.shape, self.offsets, self.dim = shape, offsets, shape.dim
 
     def _made(self, t: float) -> Any:
-        return self.shape.with_offsets(self.offsets(t))
+        return self.shape.member(self.offsets(t))
 
 
 class StateDependent(MovingSet):

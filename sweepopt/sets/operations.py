@@ -45,7 +45,7 @@ from sweepopt.sets.moving import (
     StateDependent,
     Summands,
 )
-from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
+from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
 
@@ -69,7 +69,7 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
         summands = _summands(operation, operands) if linear else None
         if summands and (translated := _translated(summands)):
             return translated
-        made: Any = _with_rows(operation, operands)
+        made: Any = _with_rows(operation, operands, linear)
         if made is None:
             fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
             points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
@@ -92,18 +92,18 @@ def _summands(operation: Callable[..., Any], operands: Sequence[Any]) -> Summand
 
     None where another thing moves.
     """
-    still, terms, scaled = list(operands), [], []
+    still, moves, scaled = list(operands), [], []
     zeros = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
     for k, C in enumerate(operands):
         if isinstance(C, MovingSet):
             own = _as_sum(C)
             if own is None:
                 return None
-            of = partial(_alone, operation, zeros, k)
             still[k] = own.still
-            terms += [(phi, of(Point(f)).anchor) for phi, f in own.center]
-            scaled += [(r, of(S)) for r, S in own.scaled]
-    return Summands(tuple(terms), operation(*still), tuple(scaled))
+            moves += [(k, phi, Point(f)) for phi, f in own.center]
+            scaled += [(r, _alone(operation, zeros, k, S)) for r, S in own.scaled]
+    terms = _linear(operation, zeros, moves, lambda C: C.anchor)
+    return Summands(tuple(terms[1:]), operation(*still), tuple(scaled))
 
 
 def _alone(operation: Callable[..., Any], zeros: list[Any], k: int, S: ConvexSet) -> Any:
@@ -116,14 +116,12 @@ def _alone(operation: Callable[..., Any], zeros: list[Any], k: int, S: ConvexSet
 
 
 def _as_sum(C: MovingSet) -> Summands | None:
-    if type(C) is not Moving:
+    translations = _translations(C)
+    if not (isinstance(C, Moving) and translations is not None):
         return C.summands
-    if not _translates_by_data(C):
-        return None
-    center, zero = C.center.terms if C.center else (), Point(np.zeros(C.dim))
     if C.scale is None:
-        return Summands(center, C.shape, ())
-    return Summands(center, zero, ((C.scale, C.shape),))
+        return Summands(tuple(translations), C.shape, ())
+    return Summands(tuple(translations), Point(np.zeros(C.dim)), ((C.scale, C.shape),))
 
 
 def _translated(of: Summands) -> Moving | None:
@@ -136,54 +134,74 @@ def _translated(of: Summands) -> Moving | None:
     return Moving(S, Separable([(Constant(), of.still.anchor), *of.center]), r)
 
 
-def _with_rows(operation: Callable[..., Any], operands: Sequence[Any]) -> MovingOffsets | None:
-    """The rows of what is made of { w : G w <= h(t) }: their offsets are linear in h.
+def _linear(
+    operation: Callable[..., Any],
+    bases: list[Any],
+    moves: list[tuple[int, Any, Any]],
+    measure: Callable[[Any], np.ndarray],
+) -> list[tuple[Any, np.ndarray]]:
+    """What histories add to a measure of the result: (k, phi, S) puts S in place of bases[k]."""
+    origin = measure(operation(*bases))
+    each = [
+        (phi, measure(operation(*bases[:k], S, *bases[k + 1 :])) - origin) for k, phi, S in moves
+    ]
+    return [(Constant(), origin), *each]
+
+
+def _with_rows(
+    operation: Callable[..., Any], operands: Sequence[Any], linear: bool
+) -> MovingOffsets | None:
+    """The rows of what is made of sets with rows that move: their offsets are linear in those.
 
     None where a set has no rows, or another thing moves.
     """
-    moving = {k: _rows(C) for k, C in enumerate(operands) if isinstance(C, MovingSet)}
-    known = {k: C for k, C in moving.items() if C is not None}
-    if len(known) < len(moving):
-        return None
-    shapes = [known[k].shape if k in known else C for k, C in enumerate(operands)]
-    still = operation(*shapes)
-    if type(still) is Aligned and still.unknowns is not None and still.parts[0] is shapes[-1]:
-        return MovingOffsets(still, known[1].offsets)  # an image on some unknowns
-    if still.dim > DENSE:
-        return None
+    bases, moves, scales = list(operands), [], []
     try:
+        for k, C in enumerate(operands):
+            if isinstance(C, MovingSet):
+                bases[k], terms = _moving_rows(C, linear)
+                moves += [(k, phi, S) for phi, S in terms]
+                scales += [C.scale] if isinstance(C, Moving) and C.scale else []
+        still = operation(*bases)
+        if type(still) is Aligned and still.unknowns is not None and still.parts[0] is bases[-1]:
+            return MovingOffsets(still, operands[1].offsets)  # an image on some unknowns
+        if still.dim > DENSE:
+            return None
         G, d = still.halfspaces().inequalities()
+        terms = _linear(operation, bases, moves, lambda C: C.halfspaces().inequalities()[1])
     except NoHalfspacesError:
         return None
-    terms: list[Any] = [(Constant(), d)]
-    for k, C in known.items():
-        for phi, h in C.offsets.terms:
-            one = operation(*shapes[:k], shapes[k].with_offsets(h), *shapes[k + 1 :])
-            terms.append((phi, one.halfspaces().inequalities()[1] - d))
-    return MovingOffsets(Polyhedron(G, 0 * d), Separable(terms))
+    # the last rows say that no scale is negative
+    rows = np.eye(len(G) + len(scales))
+    terms = [(phi, h @ rows[: d.size]) for phi, h in terms]
+    terms += zip(scales, rows[d.size :], strict=True)
+    return MovingOffsets(Polyhedron(rows[:, : d.size] @ G, 0 * rows[0]), Separable(terms))
 
 
-def _rows(C: MovingSet) -> Any:
-    """C(t) as { w : G w <= h(t) }, where that is data.
+def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
+    """A set with rows, all offsets 0, and what to put in its place for each history of C(t).
 
-    Of c(t) + r(t) S these are r(t) >= 0 and G w <= r(t) d + G c(t).
+    A linear operation makes boxes of boxes.
     """
-    if isinstance(C, MovingOffsets):
-        return C if isinstance(C.offsets, Separable) else None
-    if not (type(C) is Moving and _translates_by_data(C) and C.dim <= DENSE):
-        return None
-    try:
-        G, d = C.shape.halfspaces().inequalities()
-    except NoHalfspacesError:
-        return None
-    if C.scale is not None:
-        G, d = np.vstack([np.zeros(C.dim), G]), np.append(1.0, d)
-    moved = [(phi, G @ f) for phi, f in (C.center.terms if C.center else ())]
-    return MovingOffsets(Polyhedron(G, 0 * d), Separable([(C.scale or Constant(), d), *moved]))
+    if isinstance(C, MovingOffsets) and isinstance(C.offsets, Separable):
+        return C.shape, [(phi, C.shape.with_offsets(h)) for phi, h in C.offsets.terms]
+    translations = _translations(C)
+    if translations is None or C.dim > DENSE:
+        raise NoHalfspacesError
+    S: Any = C.shape
+    if not (linear and isinstance(S, Box)):
+        S = Polyhedron(*S.halfspaces().inequalities())
+    base, G = S.with_offsets(0 * S.offsets), np.eye(S.dim) if S.singleton else S.halfspaces().N
+    moved = [(phi, S.with_offsets(G @ f)) for phi, f in translations]
+    return base, [(C.scale or Constant(), S), *moved]
 
 
-def _translates_by_data(C: Moving) -> bool:
-    return C.center is None or isinstance(C.center, Separable)
+def _translations(C: Any) -> Sequence[tuple[Any, np.ndarray]] | None:
+    """The terms of the center of a Moving set, if that is data."""
+    if type(C) is Moving and C.center is None:
+        return ()
+    by_data = type(C) is Moving and isinstance(C.center, Separable)
+    return C.center.terms if by_data else None
 
 
 @partial(over_time, linear=True)
@@ -343,8 +361,6 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
             return reduce(add, (_image(M[:, at], S) for S, at in each))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
-    if isinstance(C, GeneratedCone):
-        return GeneratedCone(C.G @ M.T)
     if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:
         radius, root = (1.0, C.root) if isinstance(C, Ellipsoid) else (C.radius, np.eye(C.dim))
         return BallImage(M @ C.center, radius, dense(root @ M.T))
@@ -352,8 +368,6 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         # columns of numbers near 1: their units, powers of two, go to the set
         units = sp.diags_array(1 / row_units(COLUMN, M.T))
         M, C = M @ units, Polyhedron(C.G @ units, C.h)
-    elif isinstance(C, Box) and not C.offsets.any():  # <p, M s> <= 0 for all s of the cone
-        return GeneratedCone(C.polar().halfspaces().N @ M.T)
     return Lifted(C.form().image(M))
 
 

@@ -6,7 +6,7 @@ import copy
 import math
 from functools import cached_property
 from inspect import signature
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -39,7 +39,7 @@ from sweepopt.sets.least_distance import (
 )
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
-from sweepopt.sets.shapes import FEW, Box, rows_features
+from sweepopt.sets.shapes import FEW, Box, Orthant, rows_features
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -116,6 +116,19 @@ class Polyhedron(ConvexSet):
         other._set_offsets(h)
         return other
 
+    def member(self, h: Any) -> ConvexSet:
+        """As `with_offsets`; a box if each row bounds a single unknown and a point is left."""
+        bounds, other = self._bounds, self.with_offsets(h)
+        ends = bounds and bounds.ends(other.offsets)
+        return Box(*ends) if ends and (ends[0] <= ends[1]).all() else other
+
+    @cached_property
+    def _bounds(self) -> Bounds | None:
+        """The rows, if each has one entry, or none."""
+        rows = sp.coo_array(self.rows)
+        i, j, factor = (x[rows.data != 0] for x in (*rows.coords, rows.data))
+        return Bounds(self.dim, i, j, factor) if np.unique(i).size == i.size else None
+
     @cached_property
     def selection(self) -> Selection | None:
         """The unknowns beside those that an equation fixes, if that is worth eliminating these."""
@@ -133,7 +146,8 @@ class Polyhedron(ConvexSet):
         shift[fixed] = self.offsets[fix] / rows[fix].data
         h, rows = self.offsets - rows @ shift, rows[:, few]
         left = np.diff(rows.indptr) > 0
-        return Selection(few, _simplest(rows[left], h[left]), shift if shift.any() else None)
+        part = Polyhedron(rows[left], h[left]).member(h[left])
+        return Selection(few, part, shift if shift.any() else None)
 
     def support(self, z: np.ndarray) -> float:
         return float(self.support_rows(z[None])[0])
@@ -157,6 +171,8 @@ class Polyhedron(ConvexSet):
         each. The rows of G that bind for one z do so for all z of the cone that they generate, and
         for another slack where the point in which they meet satisfies the other rows.
         """
+        if self._bounds is not None:
+            return self._bounds.multipliers(rows, slack / self._units) / self._units
         multipliers, left = np.zeros((len(rows), self.h.size)), np.flatnonzero(rows.any(axis=1))
         multipliers[left] = np.inf
         slack = np.broadcast_to(slack, multipliers.shape)
@@ -259,6 +275,10 @@ class Polyhedron(ConvexSet):
         """
         points, h = rows.copy(), self.h if offsets is None else offsets
         h = np.broadcast_to(h / self._units, (len(rows), self.h.size))
+        if self._bounds is not None:
+            lower, upper = self._bounds.ends(h)
+            if (lower <= upper).all():
+                return np.clip(rows, lower, upper)
         left = np.flatnonzero((rows @ self.rows.T > h).any(axis=1))
         while left.size:
             v, serves = rows[left], np.arange(left.size) == 0
@@ -385,7 +405,10 @@ class Polyhedron(ConvexSet):
             raise EmptySetError(f"{where} is empty: no w satisfies G w <= h") from error
 
     def polar(self) -> ConvexSet:
-        return super().polar() if self.h.any() else GeneratedCone(self.G)
+        if self.h.any():
+            return super().polar()
+        generated: ConvexSet = self.algebra.image(self.G.T, Orthant(self.h.size))
+        return generated
 
 
 Polyhedron.__new__.__signature__ = signature(Polyhedron.__init__)  # type: ignore[attr-defined]
@@ -396,20 +419,42 @@ def _with_moving_offsets(G: Any, h: Any) -> MovingOffsets:
     return MovingOffsets(Polyhedron(G, np.zeros(G.shape[0])), h)
 
 
-def _simplest(G: sp.csr_array, h: np.ndarray) -> ConvexSet:
-    """{ w : G w <= h }, a box where each row has one entry."""
-    if (np.diff(G.indptr) > 1).any():
-        return Polyhedron(G, h)
-    lower, upper, side = np.full(G.shape[1], -np.inf), np.full(G.shape[1], np.inf), h / G.data
-    up = G.data > 0
-    np.maximum.at(lower, G.indices[~up], side[~up])
-    np.minimum.at(upper, G.indices[up], side[up])
-    return Box(lower, upper)
-
-
 def _columns(G: Any, units: np.ndarray) -> Any:
     """G with its columns in these units; dense rows stay out of sparse products."""
     return G @ sp.diags_array(units) if sp.issparse(G) else G * units
+
+
+class Bounds(NamedTuple):
+    """Rows i of a polyhedron that are bounds of single unknowns, factor w[j] <= h[i]."""
+
+    dim: int
+    i: np.ndarray
+    j: np.ndarray
+    factor: np.ndarray
+
+    def ends(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The bounds of w for an h, or for each of its rows; crossed if a zero row has no point."""
+        lower, upper = np.full((2, *h.shape[:-1], self.dim), np.inf)
+        lower, up, sides = -lower, self.factor > 0, h[..., self.i] / self.factor
+        np.maximum.at(lower.T, self.j[~up], sides[..., ~up].T)
+        np.minimum.at(upper.T, self.j[up], sides[..., up].T)
+        upper[(np.delete(h, self.i, axis=-1) < 0).any(axis=-1)] = -np.inf
+        return lower, upper
+
+    def multipliers(self, rows: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """As `Polyhedron.multiplier_rows`: of the rows for one side those with the least slack."""
+        y, side = np.zeros((len(rows), slack.shape[-1])), 2 * self.j + (self.factor > 0)
+        slack = np.broadcast_to(slack, y.shape)[:, self.i] / np.abs(self.factor)
+        least = np.full((len(rows), 2 * self.dim), np.inf)
+        count = np.zeros_like(least)
+        np.minimum.at(least.T, side, slack.T)
+        nearest = slack == least[:, side]
+        np.add.at(count.T, side, nearest.T)
+        pull = np.maximum(rows[:, self.j] / self.factor, 0.0)
+        y[:, self.i] = np.where(nearest, pull / count[:, side], 0.0)
+        free = np.isinf(least).reshape(*rows.shape, 2)
+        y[((rows < 0) & free[..., 0] | (rows > 0) & free[..., 1]).any(axis=1)] = np.inf
+        return y
 
 
 class HalfSpace(Polyhedron):
@@ -454,40 +499,3 @@ class HalfSpace(Polyhedron):
         if factor < 0 or np.linalg.norm(z - factor * row) > ROUNDING * np.linalg.norm(z):
             return float("inf")
         return factor * float(self.offsets[0])
-
-
-class GeneratedCone(ConvexSet):
-    """{ G^T y : y >= 0 }, the polar cone of { p : G p <= 0 }: by Moreau, v - P(v) is P_polar(v)."""
-
-    polyhedral, fixed = True, ("G",)
-    offsets = np.zeros(0)
-
-    def __init__(self, G: Any) -> None:
-        self.G, self.dim = G, G.shape[1]
-        self._polar = Polyhedron(G, np.zeros(G.shape[0]))
-        self.exact = self._polar.exact
-
-    def support(self, z: np.ndarray) -> float:
-        rows = self._polar.rows
-        rounding = 2 * ROUNDING * (abs(rows) @ np.abs(z))
-        return 0.0 if (rows @ z <= rounding).all() else float("inf")
-
-    def project(self, w: np.ndarray) -> np.ndarray:
-        return self._polar.normal(w)
-
-    def normal(self, v: np.ndarray) -> np.ndarray:
-        p = self._polar.project(v)
-        if np.abs(p).max() <= ROUNDING * np.abs(v).max():
-            return np.zeros(self.dim)
-        # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
-        return self._polar.project(p)
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        normal = self._polar.derivative(v)
-        return None if normal is None else np.eye(self.dim) - normal
-
-    def features(self, p: cp.Expression) -> Features:
-        return Features([], [self._polar.rows @ p <= 0])
-
-    def polar(self) -> ConvexSet:
-        return self._polar

@@ -66,6 +66,13 @@ class Box(ConvexSet):
         self._low, self._up = np.isfinite(self.lower), np.isfinite(self.upper)
         self.offsets = np.concatenate([self.upper[self._up], -self.lower[self._low]])
 
+    def with_offsets(self, h: np.ndarray) -> Box:
+        """The box with other finite bounds, in the order of `offsets`."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        upper[self._up], negative = np.split(h, [self._up.sum()])
+        lower[self._low] = -negative
+        return Box(lower, upper)
+
     @cached_property
     def selection(self) -> Selection | None:
         few = np.flatnonzero(self.lower < self.upper)
@@ -166,6 +173,9 @@ class Point(Box):
         self.p = self.lower = self.upper = self.offsets = entries("p", p)
         self.dim = self.offsets.size
         self._low = self._up = np.ones(self.dim, bool)
+
+    def with_offsets(self, h: np.ndarray) -> Point:
+        return Point(h)
 
     def features(self, p: cp.Expression) -> Features:
         return Features([p], [])
