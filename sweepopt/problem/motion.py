@@ -129,34 +129,34 @@ ONE = TimeFunction.of(Constant(), 1)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """C(t) = center(t) + scale(t) S, a sum of several S with scales, { w : G w <= h(t) }, or none.
+    """C(t) = center(t) + sum_i r_i(t) S_i, or { w : G w <= h(t) }.
 
     Attributes
     ----------
-    shape : ConvexSet or None
-        S, or { w : G w <= 0 } where `offsets` are given; None for several and for none.
-    center, scale : TimeFunction
+    summands : tuple of (TimeFunction, ConvexSet)
+        r_i and S_i; where `offsets` are given 1 and { w : G w <= 0 }; none where C(t) moves in
+        another way.
+    center : TimeFunction
     offsets : TimeFunction or None
         h.
-    several : tuple of (TimeFunction, ConvexSet)
-        Scales r_i and sets S_i.
     name : str
         How messages call the function that moves C: "center", "load" or "h".
     """
 
-    shape: ConvexSet | None
+    summands: tuple[tuple[TimeFunction, ConvexSet], ...]
     center: TimeFunction
-    scale: TimeFunction = ONE
     offsets: TimeFunction | None = None
     name: str = "center"
-    several: tuple[tuple[TimeFunction, ConvexSet], ...] = ()
 
     @property
-    def summands(self) -> tuple[tuple[TimeFunction, ConvexSet], ...]:
-        """All r_i and S_i, also of a single S."""
-        if self.shape is None or self.offsets is not None:
-            return self.several
-        return ((self.scale, self.shape),)
+    def shape(self) -> ConvexSet | None:
+        """S, where there is one."""
+        return self.summands[0][1] if len(self.summands) == 1 else None
+
+    @property
+    def scale(self) -> TimeFunction:
+        """r, where there is one."""
+        return self.summands[0][0] if len(self.summands) == 1 else ONE
 
     @property
     def apart(self) -> bool:
@@ -170,30 +170,30 @@ class Motion:
     @property
     def histories(self) -> list[Any]:
         """The functions of time in them."""
-        functions = (self.center, self.scale, self.offsets, *(r for r, _ in self.several))
+        functions = (self.center, *(r for r, _ in self.summands), self.offsets)
         return [phi for f in functions if f is not None for phi in f.histories]
 
 
 def motion(C: AnySet) -> Motion:
     """Read how C(t) moves."""
-    still = TimeFunction((), C.dim)
     if isinstance(C, Moving):
-        center, scale = TimeFunction.of(C.center, C.dim), TimeFunction.of(C.scale or Constant(), 1)
-        return Motion(C.shape, center, scale, name=C.center_name)
+        summand = TimeFunction.of(C.scale or Constant(), 1), C.shape
+        return Motion((summand,), TimeFunction.of(C.center, C.dim), name=C.center_name)
+    still = TimeFunction((), C.dim)
     if isinstance(C, MovingOffsets):
         offsets = TimeFunction.of(C.offsets, C.shape.offsets.size)
-        return Motion(C.shape, still, offsets=offsets, name="h")
+        return Motion(((ONE, C.shape),), still, offsets, "h")
     if isinstance(C, ConvexSet):
-        return Motion(C, still)
-    if C.summands is not None:
-        center, S, scaled = C.summands
-        if S.singleton:
-            center += ((Constant(), S.anchor),)
-        else:
-            scaled = ((Constant(), S), *scaled)
-        several = tuple((TimeFunction.of(r, 1), T) for r, T in scaled)
-        return Motion(None, TimeFunction(center, C.dim), several=several)
-    return Motion(None, TimeFunction((), C.dim, C.at))
+        return Motion(((ONE, C),), still)
+    if C.summands is None:
+        return Motion((), TimeFunction((), C.dim, C.at))
+    terms, S, scaled = C.summands
+    summands = [(TimeFunction.of(r, 1), T) for r, T in scaled]
+    if S.singleton:
+        terms += ((Constant(), S.anchor),)
+    else:
+        summands.append((ONE, S))
+    return Motion(tuple(summands), TimeFunction(terms, C.dim))
 
 
 def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
@@ -311,10 +311,10 @@ def _discontinuities(
 def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
     """All that C(t) moves with, as data; None if C(t) moves in another way."""
     moving = motion(C)
-    if not (moving.shape or moving.several):
+    if not moving.summands:
         return None
     if moving.offsets is not None:
-        G, _, E, _ = moving.shape.halfspaces()
+        G, _, E, _ = moving.summands[0][1].halfspaces()
         # of equations, 0 beside some unknowns, no distance is known
         of_offsets = _of_offsets(G, metric) if not E.size else lambda dh: np.inf * dh.any()
         return [Move(moving.name, moving.offsets, of_offsets)]

@@ -225,7 +225,7 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
     """A bound of |u(t)|_A on [a, b]: |u|_A falls where |u|_B > sup |w|_{B^-1}, w in C (MATH 4)."""
     moving = motion(process.C)
     lam = 1.0 if process.rate_independent else norms.lam  # at A = 0, B u = w
-    if not (moving.shape or moving.several) or lam == 0 or norms.beta_B == 0:
+    if not moving.summands or lam == 0 or norms.beta_B == 0:
         return math.inf
     center = sum(phi * float(norms.dual_B(f)) for phi, f in moving.center.largest(a, b))
     sets: Any = moving.summands
@@ -233,7 +233,7 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
         h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
         if not np.isfinite(h).all():
             return math.inf
-        sets = [(moving.scale, moving.shape.with_offsets(h))]
+        sets = [(moving.scale, sets[0][1].with_offsets(h))]
     size = 0.0
     for scale, S in sets:
         most = sum(phi * float(np.abs(f).max()) for phi, f in scale.largest(a, b))

@@ -143,13 +143,13 @@ def residuals(
         if process.B is not None:
             forces += applied(process.B, nodes.u[1:])
         points = _points_of_several(data, nodes.t[1:], forces, speed)
-    elif members is not None and not data.several and (scale := data.scale.at(nodes.t[1:])).all():
+    elif members is not None and (scale := data.scale.at(nodes.t[1:])).all():
         points = [(members - data.center.at(nodes.t[1:])) / scale]
     model = _model(process, data, reason, norms, nodes, variation, points)
     try:
         known = bool(model.summands) and model.motion.center.bounded
-        for scale, shapes in model.summands:
-            known = known and shapes[0].certifiable and scale.bounded
+        for r, shapes in model.summands:
+            known = known and shapes[0].certifiable and r.bounded
         return _bounds(process, norms, nodes, curves, model), "" if known else reason
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
     except EmptySetError as error:
@@ -164,15 +164,16 @@ def _points_of_several(
 
     That of a point outside of C(t) is determined by more than rounding.
     """
-    scales = np.array([scale.at(times)[:, 0] for scale, _ in data.several])
+    scales = np.array([scale.at(times)[:, 0] for scale, _ in data.summands])
     if not scales.all():
         return None
     forces = forces - data.center.at(times)
     fastest = np.linalg.norm(speed, axis=1).max(initial=0.0) or 1.0
     outside = forces - np.linalg.norm(forces, axis=1).max() / fastest * speed
-    points, start = [], None
+    points: list[Any] = []
+    start = None
     for sizes, v in zip(scales.T.tolist(), outside, strict=True):
-        sets = [r * S for r, (_, S) in zip(sizes, data.several, strict=True)]
+        sets = [r * S for r, (_, S) in zip(sizes, data.summands, strict=True)]
         some, start = split(sets, v, start)
         points.append([s / r for s, r in zip(some, sizes, strict=True)])
     return [np.array(of_one) for of_one in zip(*points, strict=True)]
@@ -180,20 +181,20 @@ def _points_of_several(
 
 def _unknown(data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
-    sets = [S for _, S in data.several] or [data.shape]
-    if sets[0] is None:
+    if not data.summands:
         return "C(t) is a function of time: write it as a Moving set, or give variation="
-    for S in sets:
+    parts = [(data.name, data.offsets or data.center)]
+    for scale, S in data.summands:
+        parts.append(("scale", scale))
         if not S.certifiable:
             return f"nothing is proved of {type(S).__name__}"
-    parts = [(data.name, data.offsets or data.center)]
-    for name, f in parts + [("scale", scale) for scale, _ in data.summands]:
+    for name, f in parts:
         if not f.bounded:
             return (
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
                 "so.Table, or give variation="
             )
-    if data.offsets is not None and not sets[0].exact:
+    if data.offsets is not None and not S.exact:
         return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
     return ""
 
@@ -211,15 +212,11 @@ def _model(
     moving: Motion | None = None if reason and data.offsets else data
     if variation is not None and not data.center.bounded:
         moving = _with_variation(data, variation)
-    if moving is not None and moving.offsets is not None:
-        intervals = smooth_intervals(moving, nodes.t)
-        return _Model(moving, intervals, [(ONE, [moving.shape])], np.zeros(len(intervals.step)))
-    summands = moving.summands if moving is not None else ()
-    if summands and all(scale.function is None for scale, _ in summands):
-        sharp = all(S.sharp_gaps for _, S in summands)
-        intervals = smooth_intervals(moving, nodes.t, 1 if sharp or members is not None else PARTS)
-        sets = [(scale, [S]) for scale, S in summands]
-        return _Model(moving, intervals, sets, np.zeros(len(intervals.step)), members)
+    summands = [(r, [S]) for r, S in moving.summands] if moving else []
+    if moving and summands and all(r.function is None for r, _ in summands):
+        sharp = members is not None or all(S.sharp_gaps for _, (S,) in summands)
+        intervals = smooth_intervals(moving, nodes.t, 1 if sharp else PARTS)
+        return _Model(moving, intervals, summands, np.zeros(len(intervals.step)), members)
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
@@ -235,7 +232,7 @@ def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
     """That of a C(t) of which nothing is known between samples."""
     n = len(nodes.velocity)
     steps = Intervals(np.arange(n), nodes.t[:-1], nodes.t[1:])
-    return _Model(Motion(None, TimeFunction((), process.dim)), steps, [], np.zeros(n))
+    return _Model(Motion((), TimeFunction((), process.dim)), steps, [], np.zeros(n))
 
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
@@ -316,7 +313,9 @@ def _on_intervals(
     if not model.summands:
         w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif offsets is None:
-        w, gaps, points = np.zeros_like(force), moved, model.members or [None] * len(scales)
+        w, gaps = np.zeros_like(force), moved
+        unknown: list[Any] = [None] * len(scales)
+        points = model.members or unknown
         error, error_B, turning = _of_terms(center, terms)
         for (f, shapes), scale, of_S in zip(model.summands, scales, points, strict=True):
             s = None
@@ -333,8 +332,8 @@ def _on_intervals(
                 error, error_B, turning = error + more[0], error_B + more[1], turning + more[2]
         error = error + moved / math.sqrt(norms.beta)
     else:
-        ((_, (S,)),), f = model.summands, model.motion.offsets
-        w, gaps = _within_rows(S, f, aim, directions, offsets)
+        ((_, (S,)),) = model.summands
+        w, gaps = _within_rows(S, model.motion.offsets, aim, directions, offsets)
     r = TO_LOBATTO @ (force - w)
     squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
@@ -386,7 +385,7 @@ def _within_shape(
 
 
 def _within_rows(
-    S: ConvexSet, f: TimeFunction, aim: np.ndarray, directions: np.ndarray, h: Interpolated
+    S: ConvexSet, f: Any, aim: np.ndarray, directions: np.ndarray, h: Interpolated
 ) -> tuple[np.ndarray, np.ndarray]:
     """A curve w in C(t) = { w : G w <= h(t) } at GAUSS, and the mean of a bound of its G.
 
