@@ -78,14 +78,12 @@ FADES = 10
 """If mu lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds with
 implicit Euler were 1.1 times those with sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5
 and 9 times at 0.002."""
-WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (6, 4.5, 2.4)}
-"""Steps that all second runs together may take, by their scheme, for each program of the run: where
-projections are exact and cheap; where C is curved, balls apart, or has many discs, or projections
-iterate; and where the run eliminates most unknowns of a large body, so that a step of the second
-run is dearer, beside those of the run.
-
-With these no bound took more than 10 times as long as the run. With (11, 7, 4.4) and (8, 5, 2.4)
-some took 12 times, and were 1.1 times closer for bodies of uneven viscosity."""
+WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 5, 2.3)}
+"""Steps that all second runs together may take, by their scheme, for each program of the run: for
+up to SMALL unknowns and exact projections; for other bodies; and where the run eliminates most of
+the unknowns of a large one. A step of the second run is dearer from case to case, beside those of
+the run: with these bounds take at most 10 to 11 times as long as the run."""
+SMALL, LARGE = 50, 1000
 FINER = 5
 """A grid has at most so many times as many steps more than the one before: where the second run has
 the scheme of the run, |v - u_n| on the first grid tells nothing of the error, and all of WORK would
@@ -94,9 +92,6 @@ STALLS, FEW = 0.5, 0.25
 """A bound that falls with a smaller order than STALLS, as that of noise, is not worth a finer grid,
 nor is one of which a grid with less than FEW times as many steps more would be enough: with FEW = 0
 that of the scene chain takes 17 times as long as the run, not 8, and is 1.1 times as close."""
-LARGE = 1000
-"""Bodies with more unknowns are large: with all of WORK a bound took 12 times as long as the run
-for 72 unknowns, and 47 times for 1,056."""
 
 
 class ErrorBound(float):
@@ -217,7 +212,7 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
     sharp = all(S.sharp_gaps for S in sets)
     exact = moving.apart and all(S.exact for S in sets)
     by_points = len(sets) == 1 and is_data and not exact and plan.reduction is None
-    cheap = exact and sharp and not plan.cones
+    cheap = exact and sharp and not plan.cones and process.dim <= SMALL
     return 2 if large else not cheap, large or plan.cones or not sharp, by_points
 
 
