@@ -10,7 +10,7 @@ and the forces on the face of a sheet. Tested with the basis function of node k 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,6 +24,7 @@ from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.spaces import Discretisation, Place
+from sweepopt.loads import Separable
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Yield(Brief):
     Attributes
     ----------
     rows : Rows
-    g : ndarray of shape (m,), or callable t -> (m,)
+    g : ndarray of shape (m,), Separable or callable t -> (m,)
         Bound of each block's force, per length, area or volume.
     histories : sequence of callable
         Functions of time that g is made of, as data: steps end at their breakpoints.
@@ -107,6 +108,8 @@ class Yield(Brief):
     def at(self, t: float, u: Array | None = None) -> Array:
         """Radii w_k g_k at a time and a state, the unslipped one if there is none, shape (m,)."""
         radii = self.rows.weight * (self.g(t) if callable(self.g) else self.g)
+        if callable(self.g) and (radii < 0).any():
+            raise InputError(f"g or its history makes a bound of forces negative at t = {t:g}")
         if self.slip is None or u is None:
             return radii
         moved = (self.rows.E @ u).reshape(-1, self.rows.block)
@@ -128,6 +131,25 @@ class Yield(Brief):
             slopes = slopes * np.sqrt(np.linalg.eigvalsh(self.metric)[:, -1])
         E = self.rows.E
         return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
+
+
+def by_history(
+    yields: Sequence[Yield],
+) -> tuple[list[Yield], list[tuple[Any, list[Yield]]]] | None:
+    """Those whose bounds rest, and for each history those that it multiplies.
+
+    None where a bound is a function of time.
+    """
+    still, moving = [], {}
+    for one in yields:
+        if isinstance(one.g, Separable):
+            for phi, g in one.g.terms:
+                moving.setdefault(id(phi), (phi, []))[1].append(replace(one, g=g))
+        elif callable(one.g):
+            return None
+        else:
+            still.append(one)
+    return still, list(moving.values())
 
 
 def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
@@ -283,12 +305,14 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     nodes, N = place.nodes.T, body.scalar.N
 
     def moving_bound(k: Indices, t: float) -> Array:
-        return np.asarray(_thresholds(law, place, N, t)[k] / weight[k])
+        phi = 1.0 if law.history is None else float(law.history(t))
+        return np.asarray(_thresholds(law, place, N, t, phi)[k] / weight[k])
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
     threshold = _thresholds(law, place, N, body.start)
-    moves = law.history is not None or in_time(law.g) or in_time(law.p)
-    if law.slip is not None and (moves or not np.isfinite(threshold).all()):
+    finite = bool(np.isfinite(threshold).all())
+    by_formula = in_time(law.g) or in_time(law.p) or (law.history is not None and not finite)
+    if law.slip is not None and (law.history is not None or by_formula or not finite):
         raise InputError(
             "slip: a law of the slip multiplies a finite bound that does not move in time; leave "
             "history and t out"
@@ -301,7 +325,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     sizes = (unknown >= 0).sum(axis=1)
     if not sizes.any():
         raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
-    keep = (sizes > 0) & (weight[node] > 0.0) & (moves | (threshold[node] > 0.0))
+    keep = (sizes > 0) & (weight[node] > 0.0) & (by_formula | (threshold[node] > 0.0))
     several = body.components - boundary > 1
     yields = []
     for block in np.unique(sizes[keep]).tolist():
@@ -318,22 +342,18 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         metric = None
         if law.axes is not None:
             metric = _metric(body, columns.reshape(-1, block), k, law.axes)
-        moving = partial(moving_bound, k) if moves else bound
+        g: Any = partial(moving_bound, k) if by_formula else bound
+        if law.history is not None and not by_formula:
+            g = Separable([(law.history, bound)])
         histories = () if law.history is None else (law.history,)
-        yields.append(Yield(rows, moving, metric, "ball", None, contact, law.slip, histories))
+        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories))
     return yields
 
 
-def _thresholds(law: Friction, place: Place, size: int, t: float) -> Array:
+def _thresholds(law: Friction, place: Place, size: int, t: float, phi: float = 1.0) -> Array:
     """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
-    factors = list(law.values_at(place, t))
-    if law.history is not None:
-        phi = np.asarray(law.history(t), dtype=float)
-        if not phi >= 0:
-            raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
-        factors.append(phi)
     with np.errstate(invalid="ignore"):
-        forces = prod(factors) * place.basis.dx
+        forces = prod([*law.values_at(place, t), phi]) * place.basis.dx
     forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 

@@ -30,7 +30,7 @@ from sweepopt.checks import (
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, result_of, shown
 from sweepopt.fem import output, pictures
-from sweepopt.fem.contact import Contact, Yield, dissipation, merged
+from sweepopt.fem.contact import Contact, Yield, by_history, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
     Effect,
@@ -49,7 +49,7 @@ from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Solution
-from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
+from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent, Summands
 from sweepopt.velocity import solvers
 
 UNITS = ("dimensionless", "SI")
@@ -561,7 +561,13 @@ def _problem(
     histories += [] if force is None else [phi for phi, _ in force.terms]
     if slipping:
         return SweepingProcess(A, B, StateDependent(at, sum(slipping), histories), u0, fields)
-    return SweepingProcess(A, B, MovingSet(at, A.shape[0], histories), u0, fields)
+    C = MovingSet(at, A.shape[0], histories)
+    if (parts := by_history(yields)) is not None:
+        rest, moving = parts
+        still: Any = -dissipation(rest)() if rest else Point(np.zeros(A.shape[0]))
+        scaled = tuple((phi, -dissipation(some)()) for phi, some in moving)
+        C.summands = Summands(() if force is None else force.terms, still, scaled)
+    return SweepingProcess(A, B, C, u0, fields)
 
 
 def _contribution(

@@ -177,8 +177,8 @@ class Motion:
 def motion(C: AnySet) -> Motion:
     """Read how C(t) moves."""
     if isinstance(C, Moving):
-        summand = TimeFunction.of(C.scale or Constant(), 1), C.shape
-        return Motion((summand,), TimeFunction.of(C.center, C.dim), name=C.center_name)
+        scale = ONE if C.scale is None else TimeFunction.of(C.scale, 1)
+        return Motion(((scale, C.shape),), TimeFunction.of(C.center, C.dim), name=C.center_name)
     still = TimeFunction((), C.dim)
     if isinstance(C, MovingOffsets):
         offsets = TimeFunction.of(C.offsets, C.shape.offsets.size)

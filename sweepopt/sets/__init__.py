@@ -20,7 +20,7 @@ from sweepopt.sets.curves import basis, products, to_bernstein
 from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance, parallel_rows
 from sweepopt.sets.lifted import split
-from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent
+from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent, Summands
 from sweepopt.sets.operations import image, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
@@ -57,6 +57,7 @@ __all__ = [
     "Similar",
     "Start",
     "StateDependent",
+    "Summands",
     "WholeSpace",
     "basis",
     "binary",

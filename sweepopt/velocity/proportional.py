@@ -32,7 +32,7 @@ import scipy.linalg
 from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import UNIT, Elimination, Factor, Precise, euclidean, product_error
 from sweepopt.loads import Constant, Separable
-from sweepopt.problem import SweepingProcess, Terms, motion, proportion
+from sweepopt.problem import ONE, SweepingProcess, Terms, motion, proportion
 from sweepopt.sets import Aligned, ConvexSet, Moving
 from sweepopt.velocity.certificate import Velocity, is_rounding
 
@@ -178,7 +178,8 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     t : float
         When the first step asks for the load.
     """
-    moving, scale = motion(process.C), getattr(process.C, "scale", None)
+    moving = motion(process.C)
+    scale = None if moving.scale is ONE else moving.scale.histories[0]
     shape = moving.shape if moving.offsets is None else None
     selection = shape.selection if shape is not None else None
     rho = proportion(process.A, process.B) if process.coercive else None
