@@ -222,6 +222,29 @@ def test_bounds_move_in_time_by_a_history_or_a_formula():
     np.testing.assert_allclose(end[1][:, 0], 0.4 - 0.25, atol=1e-9)
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_friction_bounds_with_histories_have_a_guaranteed_error_bound(shared):
+    ramp, wave = so.Table([0.0, 0.4, 1.0], [1.0, 0.5, 1.2]), so.Sine(0.4, 0.7, offset=1.0)
+    frictions = [
+        [Friction("left", 0.5, history=ramp)],
+        [Friction("left", 0.5, history=ramp), Friction("bottom", 0.4, history=wave)],
+        [
+            Friction("left", 0.5, history=ramp),
+            Friction(["left", "bottom"] if shared else "bottom", 0.3),
+        ],
+    ]
+    pull = Traction("right", f2=3.0, history=so.Sine(1.0, 0.8))
+    for some in frictions:
+        effects = [Viscosity(0.1), Elasticity(1.0), *some, pull]
+        scene = antiplane(square(4), clamped="top", effects=effects)
+        sol, fine = (scene.solve(t_end=1.0, steps=n, scheme="sdirk2") for n in (20, 400))
+        difference = sol(fine.t) - fine.u
+        error = max(sol.process.metric.norm(row) for row in difference)
+        bound = sol.error_bound()
+        assert bound.guaranteed
+        assert 0.98 * error <= bound <= 4 * error
+
+
 def test_frictions_add_and_a_node_that_two_share_counts_once():
     one, two = (
         antiplane(square(4), clamped="top", effects=[Viscosity(1.0), *friction])

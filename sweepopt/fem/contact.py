@@ -353,7 +353,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
 def _thresholds(law: Friction, place: Place, size: int, t: float, phi: float = 1.0) -> Array:
     """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
     with np.errstate(invalid="ignore"):
-        forces = prod([*law.values_at(place, t), phi]) * place.basis.dx
+        forces = phi * prod(law.values_at(place, t)) * place.basis.dx
     forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 

@@ -35,7 +35,15 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.sets import ROUNDING, Aligned, ConvexSet, Polyhedron, basis, split, to_bernstein
+from sweepopt.sets import (
+    ROUNDING,
+    Aligned,
+    ConvexSet,
+    Polyhedron,
+    basis,
+    points_of_sum,
+    to_bernstein,
+)
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
@@ -164,19 +172,13 @@ def _points_of_several(
 
     That of a point outside of C(t) is determined by more than rounding.
     """
-    scales = np.array([scale.at(times)[:, 0] for scale, _ in data.summands])
-    if not scales.all():
+    sizes = np.column_stack([scale.at(times)[:, 0] for scale, _ in data.summands])
+    if not sizes.all():
         return None
     forces = forces - data.center.at(times)
     fastest = np.linalg.norm(speed, axis=1).max(initial=0.0) or 1.0
     outside = forces - np.linalg.norm(forces, axis=1).max() / fastest * speed
-    points: list[Any] = []
-    start = None
-    for sizes, v in zip(scales.T.tolist(), outside, strict=True):
-        sets = [r * S for r, (_, S) in zip(sizes, data.summands, strict=True)]
-        some, start = split(sets, v, start)
-        points.append([s / r for s, r in zip(some, sizes, strict=True)])
-    return [np.array(of_one) for of_one in zip(*points, strict=True)]
+    return points_of_sum([S for _, S in data.summands], sizes, outside)
 
 
 def _unknown(data: Motion) -> str:

@@ -19,7 +19,7 @@ from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.curves import basis, products, to_bernstein
 from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance, parallel_rows
-from sweepopt.sets.lifted import split
+from sweepopt.sets.lifted import points_of_sum
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent, Summands
 from sweepopt.sets.operations import image, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
@@ -68,10 +68,10 @@ __all__ = [
     "in_turn",
     "least_distance",
     "parallel_rows",
+    "points_of_sum",
     "product",
     "products",
     "same_array",
     "shape_of",
-    "split",
     "to_bernstein",
 ]

@@ -394,15 +394,23 @@ class Sum(Lifted):
         return both
 
 
-def split(
-    sets: Sequence[ConvexSet], v: np.ndarray, start: Start | None
-) -> tuple[list[np.ndarray], Start]:
-    """Points of sets, with a sum next to v in the sum of the sets, from a start; the next start."""
-    forms = [C.form() for C in sets]
-    near = Projector(reduce(Form.added, forms))(v, start)
-    ends = np.cumsum([form.E.shape[1] for form in forms])[:-1]
-    parts = zip(forms, np.split(near.start.s, ends), strict=True)
-    return [form.E @ s for form, s in parts], near.start
+def points_of_sum(
+    sets: Sequence[ConvexSet], sizes: np.ndarray, rows: np.ndarray
+) -> list[np.ndarray]:
+    """Points s_i of each S_i, with sum_i r_i s_i the point of sum_i r_i S_i that is next to v.
+
+    For each row r of the sizes, shape (n, k), and v of the rows, shape (n, dim); each projection
+    starts from the one before.
+    """
+    forms, start, points = [C.form() for C in sets], None, []
+    E, F, parts = reduce(Form.added, forms)
+    counts = [form.E.shape[1] for form in forms]
+    for r, v in zip(sizes, rows, strict=True):
+        scaled = Form(sp.csr_array(E @ sp.diags_array(np.repeat(r, counts))), F, parts)
+        start = Projector(scaled)(v, start).start
+        points.append(start.s)
+    each = np.split(np.array(points).T, np.cumsum(counts)[:-1])
+    return [(form.E @ s).T for form, s in zip(forms, each, strict=True)]
 
 
 class Intersection(Lifted):

@@ -103,16 +103,29 @@ def _summands(operation: Callable[..., Any], operands: Sequence[Any]) -> Summand
             moves += [(k, phi, Point(f)) for phi, f in own.center]
             scaled += [(r, _alone(operation, zeros, k, S)) for r, S in own.scaled]
     terms = _linear(operation, zeros, moves, lambda C: C.anchor)
-    return Summands(tuple(terms[1:]), operation(*still), tuple(scaled))
+    rest = operation(*still)
+    return Summands(tuple(terms[1:]), _on_few(rest) if scaled else rest, tuple(scaled))
 
 
 def _alone(operation: Callable[..., Any], zeros: list[Any], k: int, S: ConvexSet) -> Any:
-    """op(0, ..., S, ..., 0), without the vectors that it adds; of a product on few unknowns."""
+    """op(0, ..., S, ..., 0), without the vectors that it adds."""
     made, origin = operation(*zeros[:k], S, *zeros[k + 1 :]), operation(*zeros).anchor
-    if type(made) is Aligned and made.unknowns is None:
-        before = sum(one.dim for one in zeros[:k])
-        return Aligned(S, unknowns=np.arange(before, before + S.dim), dim=made.dim)
-    return made - origin if origin.any() else made
+    return _on_few(made - origin if origin.any() else made)
+
+
+def _on_few(S: ConvexSet) -> ConvexSet:
+    """A product beside points 0 as a set on few unknowns."""
+    if isinstance(S, Box) and not S.singleton:
+        few = np.flatnonzero(S.lower.astype(bool) | S.upper.astype(bool))
+        return Aligned(Box(S.lower[few], S.upper[few]), unknowns=few, dim=S.dim)
+    if type(S) is not Aligned or S.unknowns is not None:
+        return S
+    where = [np.arange(S.dim)[at] for at in places(S.parts)]
+    kept = [
+        (C, at) for C, at in zip(S.parts, where, strict=True) if not C.singleton or C.anchor.any()
+    ]
+    parts, unknowns = zip(*kept, strict=True)
+    return Aligned(*parts, unknowns=np.concatenate(unknowns), dim=S.dim)
 
 
 def _as_sum(C: MovingSet) -> Summands | None:

@@ -117,10 +117,10 @@ class Polyhedron(ConvexSet):
         return other
 
     def member(self, h: Any) -> ConvexSet:
-        """As `with_offsets`; a box if each row bounds a single unknown and a point is left."""
+        """As `with_offsets`; a box if each row bounds a single unknown, and none fixes one."""
         bounds, other = self._bounds, self.with_offsets(h)
         ends = bounds and bounds.ends(other.offsets)
-        return Box(*ends) if ends and (ends[0] <= ends[1]).all() else other
+        return Box(*ends) if ends and (ends[0] < ends[1]).all() else other
 
     @cached_property
     def _bounds(self) -> Bounds | None:
