@@ -140,7 +140,8 @@ def by_history(
 
     None where a bound is a function of time.
     """
-    still, moving = [], {}
+    still: list[Yield] = []
+    moving: dict[int, tuple[Any, list[Yield]]] = {}
     for one in yields:
         if isinstance(one.g, Separable):
             for phi, g in one.g.terms:
