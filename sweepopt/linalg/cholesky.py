@@ -29,7 +29,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.linalg.matrices import Reduced, euclidean
 from sweepopt.linalg.ordering import fill_reducing, triangle
 
@@ -62,32 +62,32 @@ class Cholesky:
         T.
     """
 
-    pivots: np.ndarray
-    solve: Callable[[np.ndarray], np.ndarray]
+    pivots: Array
+    solve: Callable[[Array], Array]
     order: Any = None
     forward: Any = None
     backward: Any = None
-    tail: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    tail: Array = field(default_factory=lambda: np.zeros((0, 0)))
     method = "factors"
 
     @property
-    def N(self) -> np.ndarray:
+    def N(self) -> Array:
         """The Schur complement."""
         return self.tail @ self.tail.T
 
-    def reduce(self, r: np.ndarray) -> Reduced:
+    def reduce(self, r: Array) -> Reduced:
         """Forward substitution of r, whose length is |r|_{M^-1}, and the force N E M^-1 r."""
         forward = self.forward(r)
         return Reduced(forward, self.tail @ forward[-len(self.tail) :], euclidean(forward))
 
-    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+    def recover(self, forward: Array, zeta: Array) -> Array:
         """z from the forward substitution of r and E z = zeta."""
         y = forward.copy()
         y[-len(self.tail) :] = self.tail.T @ zeta
         return self.backward(y)
 
 
-def factorised(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
+def factorised(M: Matrix, order: Array | None = None, m: int = 0) -> Cholesky:
     """M factorised; of a sparse one the last m unknowns of an order have their block of L."""
     if not sp.issparse(M):
         lower = scipy.linalg.cholesky(M, lower=True)
@@ -107,7 +107,7 @@ class InBlocks:
         Of the lower triangle, column by column as SciPy has it.
     """
 
-    def __init__(self, indices: np.ndarray, starts: np.ndarray) -> None:
+    def __init__(self, indices: Array, starts: Array) -> None:
         n = len(starts) - 1
         self._pattern, self._order, self._factor = (indices, starts), None, None
         if n > LIMIT or not has_cholmod():
@@ -119,7 +119,7 @@ class InBlocks:
         with _settings(IN_BLOCKS):
             self._factor = cholmod.symbolic(self._triangle, matrix(order))
 
-    def __call__(self, data: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    def __call__(self, data: Array) -> Callable[[Array], Array]:
         """w -> M^-1 w for the M with these entries; ArithmeticError where M > 0 does not hold."""
         if self._factor is None:
             lower = sp.csc_array((data, *self._pattern))
@@ -146,7 +146,7 @@ def has_cholmod() -> bool:
     return True
 
 
-def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
+def cholmod(M: Matrix, order: Array | None, m: int) -> Cholesky:
     """CHOLMOD's L D L^T, or L L^T in blocks: 6 times as fast for a solid of 2,464 unknowns.
 
     Where a hard limit of memory (ulimit -v) is met, cvxopt 1.3 may end the process.
@@ -199,7 +199,7 @@ def _settings(ours: dict[str, Any]) -> Iterator[None]:
             cholmod.options.update(before)
 
 
-def _system(factor: Any, which: int, w: np.ndarray) -> np.ndarray:
+def _system(factor: Any, which: int, w: Array) -> Array:
     """The solution of one of CHOLMOD's systems of equations."""
     from cvxopt import cholmod, matrix
 
@@ -208,7 +208,7 @@ def _system(factor: Any, which: int, w: np.ndarray) -> np.ndarray:
     return np.asarray(x).reshape(w.shape)
 
 
-def superlu(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
+def superlu(M: Matrix, order: Array | None, m: int) -> Cholesky:
     """SuperLU's L U of M, whose U is D L^T: pivots stay on the diagonal.
 
     Their signs are the inertia (Sylvester). For the two substitutions apart L sqrt(D) is

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.errors import IndefiniteError, SolverRefusedError, brought_by
 from sweepopt.linalg.matrices import Reduced, euclidean, lanczos_start
 
@@ -33,7 +33,7 @@ class ConjugateGradients:
     method = "conjugate gradients"
     order = None
 
-    def __init__(self, M: Matrix, kept: np.ndarray | None = None) -> None:
+    def __init__(self, M: Matrix, kept: Array | None = None) -> None:
         with brought_by("speed"):
             import pyamg
         self.pivots = M.diagonal()
@@ -54,13 +54,13 @@ class ConjugateGradients:
             N = np.linalg.inv(self.solve(units.T)[kept])
             self.N = 0.5 * (N + N.T)
 
-    def _image(self, x: np.ndarray) -> np.ndarray:
+    def _image(self, x: Array) -> Array:
         image = self._A @ x
         if not x @ image > 0:
             raise IndefiniteError("the matrix must be positive definite: <Mx, x> <= 0 was met")
         return image
 
-    def solve(self, w: np.ndarray) -> np.ndarray:
+    def solve(self, w: Array) -> Array:
         """M^-1 w of one vector or of columns, to RESIDUAL or to where rounding lets it stagnate."""
         if w.ndim == 2:
             return np.column_stack([self.solve(column) for column in w.T])
@@ -82,12 +82,12 @@ class ConjugateGradients:
             size = euclidean(residual)
         return x / self._root
 
-    def reduce(self, r: np.ndarray) -> Reduced:
+    def reduce(self, r: Array) -> Reduced:
         """M^-1 r, and the force N E M^-1 r on zeta = E z."""
         solved = self.solve(r)
         return Reduced(solved, self.N @ solved[self._unknowns], math.sqrt(max(r @ solved, 0.0)))
 
-    def recover(self, solved: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+    def recover(self, solved: Array, zeta: Array) -> Array:
         """z with M z = r + E^T s and E z = zeta, from M^-1 r."""
         pressure = np.zeros(len(self._root))
         pressure[self._unknowns] = self.N @ (zeta - solved[self._unknowns])

@@ -14,7 +14,7 @@ import scipy.linalg
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 from sweepopt.linalg.cholesky import SYMMETRIC, InBlocks, has_cholmod
 from sweepopt.linalg.matrices import EPS, UNIT
 from sweepopt.linalg.ordering import is_solid
@@ -56,7 +56,7 @@ def dominates(P: Matrix, Q: Matrix, by_factors: bool = True) -> bool:
     return False
 
 
-def _backward_error(M: Matrix, w: np.ndarray) -> np.ndarray:
+def _backward_error(M: Matrix, w: Array) -> Array:
     """H w for a bound H of |M - L D L^T|; inf if there are no such factors, D > 0.
 
     |M - L U| <= gamma_k |L| |U|, gamma_k = k u / (1 - k u), with k the most entries of a row of L

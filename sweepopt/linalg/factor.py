@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, divisor
+from sweepopt.checks import Array, Matrix, divisor
 from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
 from sweepopt.linalg.cholesky import Cholesky, factorised, has_cholmod
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
@@ -66,8 +66,8 @@ class Factor:
         M: Matrix,
         name: str = "M",
         *,
-        unknowns: np.ndarray | None = None,
-        order: np.ndarray | None = None,
+        unknowns: Array | None = None,
+        order: Array | None = None,
     ) -> None:
         self.M, self.dim = M, M.shape[0]
         self.diagonal = np.asarray(M.diagonal(), dtype=float)
@@ -111,7 +111,7 @@ class Factor:
         """For copies and pickle: the factors are made again."""
         return partial(type(self), self.M, unknowns=self._unknowns, order=self.order), ()
 
-    def solve(self, w: np.ndarray) -> np.ndarray:
+    def solve(self, w: Array) -> Array:
         """M^-1 w."""
         return self._engine.solve(w)
 
@@ -120,41 +120,39 @@ class Factor:
         """The matrix of the program for the `unknowns` alone: of all unknowns M itself."""
         return self
 
-    def reduce(self, r: np.ndarray) -> Reduced:
+    def reduce(self, r: Array) -> Reduced:
         """A force r seen from the `unknowns`."""
         return Reduced(None, r)
 
-    def recover(self, forward: Any, zeta: np.ndarray) -> np.ndarray:
+    def recover(self, forward: Any, zeta: Array) -> Array:
         """The z that is zeta on the `unknowns` and balances r beside them."""
         return zeta
 
-    def solve_many(self, rows: np.ndarray) -> np.ndarray:
+    def solve_many(self, rows: Array) -> Array:
         """M^-1 of each row, shape (k, dim)."""
         return self.solve(np.asfortranarray(rows.T)).T
 
     @cached_property
-    def inverse(self) -> np.ndarray:
+    def inverse(self) -> Array:
         """M^-1, of a matrix of few unknowns."""
         inverse = self.solve_many(np.eye(self.dim))
         return 0.5 * (inverse + inverse.T)
 
-    def dual_norm_bound(self, w: np.ndarray) -> float:
+    def dual_norm_bound(self, w: Array) -> float:
         """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
 
         lambda_min is that of D^-1/2 M D^-1/2.
         """
         return euclidean(w / self.root) * self.bound_factor
 
-    def is_within(self, w: np.ndarray, limit: float) -> bool:
+    def is_within(self, w: Array, limit: float) -> bool:
         """Whether |w|_{M^-1} <= limit; a solve only where bounds of it do not decide."""
         size = euclidean(w / self.root)
         if size > limit * self.stretch:
             return False
         return size * self.bound_factor <= limit or self.dual_norm(w) <= limit
 
-    def apply(
-        self, z: np.ndarray, q: np.ndarray, enough: float, least: float = 0.0
-    ) -> tuple[np.ndarray, float]:
+    def apply(self, z: Array, q: Array, enough: float, least: float = 0.0) -> tuple[Array, float]:
         """M z + q and |z|_M; rounding may be `enough` times that or `least`."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
@@ -164,7 +162,7 @@ class Factor:
             return self.precisely(z, q), size
         return force + q, size
 
-    def rounding(self, z: np.ndarray, q: float) -> float:
+    def rounding(self, z: Array, q: float) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
 
         Parameters
@@ -176,7 +174,7 @@ class Factor:
         return UNIT * (euclidean(self._weights * z) + q) * self.bound_factor
 
     @cached_property
-    def _weights(self) -> np.ndarray:
+    def _weights(self) -> Array:
         return rounding_weights(self.M, self.root)
 
     @cached_property
@@ -205,11 +203,11 @@ class Factor:
         scaled = largest_eigenvalue(lambda w: self.root * self.solve(self.root * w), self.dim, 1e-3)
         return 1.1 * math.sqrt(scaled)
 
-    def norm(self, z: np.ndarray) -> float:
+    def norm(self, z: Array) -> float:
         """|z|_M = sqrt<Mz, z>."""
         return float(np.sqrt(max(z @ (self.M @ z), 0.0)))
 
-    def dual_norm(self, w: np.ndarray) -> float:
+    def dual_norm(self, w: Array) -> float:
         """|w|_{M^-1} = sqrt<M^-1 w, w>."""
         return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
 
@@ -250,7 +248,7 @@ class Elimination(Factor):
         An order with little fill, as a `Factor` of a matrix of the same pattern tells it.
     """
 
-    def __init__(self, M: Matrix, unknowns: np.ndarray, order: np.ndarray | None = None) -> None:
+    def __init__(self, M: Matrix, unknowns: Array, order: Array | None = None) -> None:
         super().__init__(M, unknowns=unknowns, order=order)
         self.unknowns, self.N = unknowns, self._engine.N
 
@@ -259,17 +257,17 @@ class Elimination(Factor):
         """N with its own factors."""
         return Factor(self.N)
 
-    def reduce(self, r: np.ndarray) -> Reduced:
+    def reduce(self, r: Array) -> Reduced:
         """The force N E M^-1 r on zeta, |r|_{M^-1}, and what `recover` needs of r."""
         return self._engine.reduce(r)
 
-    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+    def recover(self, forward: Array, zeta: Array) -> Array:
         """z with M z = r + E^T s and E z = zeta."""
         return self._engine.recover(forward, zeta)
 
 
 def _engine(
-    M: Matrix, order: np.ndarray | None = None, kept: np.ndarray | None = None
+    M: Matrix, order: Array | None = None, kept: Array | None = None
 ) -> Cholesky | ConjugateGradients:
     """What solves with M, and eliminates all unknowns but those that are kept.
 

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 
 EPS = float(np.finfo(float).eps)
 UNIT = 0.5 * EPS  # unit roundoff: the largest relative error of one operation
@@ -32,11 +32,11 @@ class Reduced(NamedTuple):
     """
 
     forward: Any
-    force: np.ndarray
+    force: Array
     size: float | None = None
 
 
-def rounding_weights(M: Matrix, root: np.ndarray) -> np.ndarray:
+def rounding_weights(M: Matrix, root: Array) -> Array:
     """Weights with |D^-1/2 (fl(M x) - M x)| <= UNIT |weights * x|, `root` the diagonal of D^1/2.
 
     An entry of k products rounds about sqrt(k) times its |M| |x| (Higham and Mary, SIAM J. Sci.
@@ -50,7 +50,7 @@ def rounding_weights(M: Matrix, root: np.ndarray) -> np.ndarray:
     return np.sqrt(root * (size @ (roundings * sums)))
 
 
-def row_lengths(G: Matrix) -> np.ndarray:
+def row_lengths(G: Matrix) -> Array:
     """The Euclidean length of each row."""
     return np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
 
@@ -67,24 +67,22 @@ def is_diagonal(M: Matrix) -> bool:
     return bool(entries == np.count_nonzero(M.diagonal()))
 
 
-def euclidean(x: np.ndarray) -> float:
+def euclidean(x: Array) -> float:
     """|x| of a vector: numpy's norm looks at its shape first."""
     return math.sqrt(x.dot(x))
 
 
-def dense(M: Matrix) -> np.ndarray:
+def dense(M: Matrix) -> Array:
     """M as an ndarray."""
     return M.toarray() if sp.issparse(M) else M
 
 
-def lanczos_start(dim: int) -> np.ndarray:
+def lanczos_start(dim: int) -> Array:
     """A start for Lanczos that no structure of a matrix is orthogonal to, the same every time."""
     return np.random.default_rng(0).normal(size=dim)
 
 
-def largest_eigenvalue(
-    product: Callable[[np.ndarray], np.ndarray], dim: int, tol: float = 0.0
-) -> float:
+def largest_eigenvalue(product: Callable[[Array], Array], dim: int, tol: float = 0.0) -> float:
     """The largest eigenvalue of the symmetric matrix of these products."""
     if dim < SMALL:
         return float(np.linalg.eigvalsh(np.array([product(e) for e in np.eye(dim)]))[-1])

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.csgraph as csgraph
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 
 PIECE = 200  # unknowns that AMD orders; with 100 or 500 factors are as small to 5 %
 THICK = 2.2  # of sqrt(n) unknowns, of levels on average: 0.9 to 1.9 in the plane
@@ -40,7 +40,7 @@ def is_solid(M: Matrix) -> bool:
     return n > PIECE and n > THICK * math.sqrt(n) * (1 + _levels(graph[body][:, body]).max())
 
 
-def fill_reducing(M: Matrix) -> np.ndarray:
+def fill_reducing(M: Matrix) -> Array:
     """An order of the unknowns of a symmetric sparse M."""
     return _dissected(_graph(M)) if is_solid(M) else _minimum_degree(M)
 
@@ -50,12 +50,12 @@ def _graph(M: Matrix) -> sp.csr_array:
     return sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), rows.shape)
 
 
-def _components(graph: sp.csr_array) -> np.ndarray:
+def _components(graph: sp.csr_array) -> Array:
     """Which component each unknown is in; strong ones, so that a search reaches all of its own."""
     return csgraph.connected_components(graph, connection="strong")[1]
 
 
-def _levels(graph: sp.csr_array) -> np.ndarray:
+def _levels(graph: sp.csr_array) -> Array:
     """How far each unknown of a connected graph is from one that is farthest from the first."""
     end = 0
     for _ in range(2):
@@ -64,14 +64,14 @@ def _levels(graph: sp.csr_array) -> np.ndarray:
     return levels
 
 
-def _minimum_degree(M: Matrix) -> np.ndarray:
+def _minimum_degree(M: Matrix) -> Array:
     """The order of AMD."""
     from cvxopt import amd
 
     return np.ravel(amd.order(triangle(M))).astype(np.int64)
 
 
-def _dissected(graph: sp.csr_array) -> np.ndarray:
+def _dissected(graph: sp.csr_array) -> Array:
     """The order, from its end on, by a list of what is still to be parted: nothing recurses."""
     waiting, order = [(np.arange(graph.shape[0]), graph)], []
     while waiting:
@@ -87,7 +87,7 @@ def _dissected(graph: sp.csr_array) -> np.ndarray:
     return np.concatenate(order[::-1])
 
 
-def _parts(graph: sp.csr_array) -> np.ndarray:
+def _parts(graph: sp.csr_array) -> Array:
     """The part of each unknown: large components, or the two sides of a level.
 
     Part 0 is parted no more and goes to the end: that level, small components, or all unknowns.

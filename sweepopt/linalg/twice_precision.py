@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Array, Matrix
 
 SLICES = 3  # of about 23 bits: more than twice the 53 of double precision, less what sums need
 
@@ -57,11 +57,11 @@ class Precise:
         # products of dense slices are five times as fast as those of full sparse ones
         self._slices = matrices if is_sparse else [one.toarray() for one in matrices]
 
-    def __call__(self, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
+    def __call__(self, z: Array, *more: Array) -> Array:
         """M z + the sum of the others."""
         return exact_sum([*self.terms(z), *more])
 
-    def terms(self, z: np.ndarray, error: Any = 0.0) -> list[np.ndarray]:
+    def terms(self, z: Array, error: Any = 0.0) -> list[Array]:
         """Vectors whose sum is M (z + error), the error no more than z rounds."""
         if not self._slices:
             return [np.zeros_like(z)]
@@ -75,7 +75,7 @@ class Precise:
         return [*terms, self._unit * rounded]
 
 
-def exact_sum(terms: list[np.ndarray]) -> np.ndarray:
+def exact_sum(terms: list[Array]) -> Array:
     """The sum, with what each addition rounds away (Knuth's two-sum)."""
     total, remainder = terms[0], np.zeros_like(terms[0])
     for term in terms[1:]:
@@ -105,7 +105,7 @@ def _halves(x: Any) -> tuple[Any, Any]:
     return high, x - high
 
 
-def _cut(x: np.ndarray, bits: int) -> list[np.ndarray]:
+def _cut(x: Array, bits: int) -> list[Array]:
     """Slices with x = their sum, each but the last of few bits beside the largest entry."""
     largest = float(np.abs(x).max(initial=0.0))
     parts = []

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import TIME_SLACK, vector
+from sweepopt.checks import TIME_SLACK, Array, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, dense
 from sweepopt.loads import (
@@ -43,7 +43,7 @@ from sweepopt.sets import (
     MovingSet,
 )
 
-Terms = tuple[tuple[Any, np.ndarray], ...]
+Terms = tuple[tuple[Any, Array], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class TimeFunction:
             return self.variation is not None
         return all(hasattr(phi, "variation") for phi, _ in self.terms)
 
-    def largest(self, a: float, b: float) -> Iterator[tuple[float, np.ndarray]]:
+    def largest(self, a: float, b: float) -> Iterator[tuple[float, Array]]:
         """A bound of |phi_k| on [a, b] with each f_k; infinite of a function."""
         if self.function is not None:
             yield math.inf, np.ones(self.dim)
@@ -108,7 +108,7 @@ class TimeFunction:
         """The phi_k, or the function."""
         return [phi for phi, _ in self.terms] if self.function is None else [self.function]
 
-    def at(self, times: np.ndarray) -> np.ndarray:
+    def at(self, times: Array) -> Array:
         """Values, shape (len(times), dim)."""
         if isinstance(self.function, VectorTable):
             return np.asarray(self.function(times))
@@ -213,7 +213,7 @@ BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in
 EXEMPT = (Constant, Polynomial, Sine, Triangle, Slope)
 """Histories of whose jumps nobody is warned: only `Slope` has some, where the velocity of a
 prescribed motion changes."""
-Distance = Callable[[np.ndarray], float]
+Distance = Callable[[Array], float]
 
 
 class Variation(float):
@@ -243,7 +243,7 @@ class Move(NamedTuple):
     distance: Distance
 
 
-def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
+def variation(C: AnySet, metric: Factor, times: Array) -> Variation:
     """The sum of the variations of all that C(t) moves with, or of the distances of members."""
     moves, guaranteed = _moves(C, metric), metric.method == "factors"
     if moves is None:
@@ -326,7 +326,7 @@ def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
     return moves
 
 
-def _of_scale(extent: float, r: np.ndarray) -> float:
+def _of_scale(extent: float, r: Array) -> float:
     return float(abs(r[0])) * extent if r.any() else 0.0
 
 
@@ -337,7 +337,7 @@ def _of_offsets(G: Any, metric: Factor) -> Distance:
     count = np.diff(rows.indptr)
     if (count <= 1).all():  # intervals of single unknowns: their ends move
 
-        def of_ends(dh: np.ndarray) -> float:
+        def of_ends(dh: Array) -> float:
             m = np.zeros(metric.dim)
             np.maximum.at(m, rows.indices, np.abs(dh[count > 0] / rows.data))
             return _box(m, metric)
@@ -349,7 +349,7 @@ def _of_offsets(G: Any, metric: Factor) -> Distance:
     return Factor(dense(rows @ metric.M @ rows.T)).dual_norm
 
 
-def _box(m: np.ndarray, metric: Factor) -> float:
+def _box(m: Array, metric: Factor) -> float:
     """At least |w|_{A^-1} for all |w_i| <= m_i: exact where no entry of A^-1 is negative."""
     unknowns, total = np.flatnonzero(m), 0.0
     for block in np.array_split(unknowns, unknowns.size // BLOCK + 1):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, largest_ratio
 
@@ -58,33 +59,33 @@ class Norms:
             self.lam = math.nextafter(1 / largest_ratio(self._weak, process.A), 0.0)
         self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue
 
-    def A(self, x: np.ndarray) -> np.ndarray:
+    def A(self, x: Array) -> Array:
         """|x|_A (of B where A is singular), over the last axis."""
         return np.sqrt(np.maximum(squares(self._metric.M, x), 0.0))
 
-    def B(self, x: np.ndarray) -> np.ndarray:
+    def B(self, x: Array) -> Array:
         """|x|_B over the last axis."""
         if self._B is None:
             return np.zeros(x.shape[:-1])
         return np.sqrt(np.maximum(squares(self._B, x), 0.0))
 
-    def dual(self, w: np.ndarray, beside: Any = 0.0) -> np.ndarray:
+    def dual(self, w: Array, beside: Any = 0.0) -> Array:
         """|w|_{A^-1} over the last axis; where it is NEGLIGIBLE beside a number, a bound of it."""
         return _norm(self.dual_products(w[..., None, :], beside))
 
-    def dual_B(self, w: np.ndarray, beside: Any = 0.0) -> np.ndarray:
+    def dual_B(self, w: Array, beside: Any = 0.0) -> Array:
         """|w|_{B^-1} over the last axis, likewise; infinite where B has no inverse."""
         return _norm(self.dual_products_B(w[..., None, :], beside))
 
-    def dual_products(self, w: np.ndarray, beside: Any) -> Products:
+    def dual_products(self, w: Array, beside: Any) -> Products:
         """<w_j, A^-1 w_k> of the rows of each w, shape (..., k, dim)."""
         return _products(self._metric, self.beta, w, beside)
 
-    def dual_products_B(self, w: np.ndarray, beside: Any) -> Products:
+    def dual_products_B(self, w: Array, beside: Any) -> Products:
         """<w_j, B^-1 w_k>, likewise; infinite where B has no inverse."""
         return _products(self._weak, self.beta_B, w, beside)
 
-    def growth(self, tau: np.ndarray) -> np.ndarray:
+    def growth(self, tau: Array) -> Array:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""
         if self.Lam == 0:
             return np.ones_like(tau)
@@ -104,21 +105,21 @@ class Products(NamedTuple):
         Bounds of the norms of these, which take no solve; 0 for the others.
     """
 
-    products: np.ndarray
-    rest: np.ndarray
+    products: Array
+    rest: Array
 
-    def of_sum(self, weights: np.ndarray) -> np.ndarray:
+    def of_sum(self, weights: Array) -> Array:
         """A bound of sqrt(sum_i |sum_k weights_ik w_k|^2)."""
         squared = ((weights.T @ weights) * self.products).sum(axis=(-2, -1))
-        rest: np.ndarray = self.rest @ np.linalg.norm(weights, axis=0)
+        rest: Array = self.rest @ np.linalg.norm(weights, axis=0)
         return np.sqrt(np.maximum(squared, 0.0)) + rest
 
 
-def _norm(of_one: Products) -> np.ndarray:
+def _norm(of_one: Products) -> Array:
     return of_one.of_sum(np.eye(1))
 
 
-def _products(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) -> Products:
+def _products(metric: Factor | None, beta: float, w: Array, beside: Any) -> Products:
     """Those of families w, shape (..., k, dim), where <Mx, x> >= beta |x|^2."""
     family = w.reshape(-1, *w.shape[-2:])
     size = np.linalg.norm(family, axis=-1)
@@ -142,11 +143,11 @@ def _products(metric: Factor | None, beta: float, w: np.ndarray, beside: Any) ->
     return Products(products.reshape(*shape, shape[-1]), rest.reshape(shape))
 
 
-def applied(M: Any, x: np.ndarray) -> np.ndarray:
+def applied(M: Any, x: Array) -> Array:
     """M x over the last axis."""
     return (M @ x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
 
 
-def squares(M: Any, x: np.ndarray) -> np.ndarray:
+def squares(M: Any, x: Array) -> Array:
     """<Mx, x> over the last axis."""
     return (applied(M, x) * x).sum(axis=-1)

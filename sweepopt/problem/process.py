@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import (
+    Array,
     Matrix,
     agree,
     at_path,
@@ -54,7 +55,7 @@ from sweepopt.sets import (
     image,
 )
 
-Nearest = Callable[[np.ndarray, ConvexSet], np.ndarray]
+Nearest = Callable[[Array, ConvexSet], Array]
 LOOSE = 64 * EPS  # share of a row's entries that assembly rounds in their sum
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 SHOWN = 5  # jumps that a warning names
@@ -253,7 +254,7 @@ class SweepingProcess(Displayed):
             return 1 + gamma * self.Lam
         return np.maximum(float(not self.rate_independent), gamma / self.time_scale)
 
-    def set_at(self, t: float, u: np.ndarray) -> ConvexSet:
+    def set_at(self, t: float, u: Array) -> ConvexSet:
         """C(t), or C(t, u) where it depends on the state, which its function cannot change."""
         if not isinstance(self.C, StateDependent):
             return self.C.at(t)
@@ -305,11 +306,11 @@ class SweepingProcess(Displayed):
         """A + gamma B, rounded."""
         return self.A if self.B is None or not gamma else self.A + gamma * self.B
 
-    def times_B(self, u: np.ndarray) -> np.ndarray:
+    def times_B(self, u: Array) -> Array:
         """B u, zero where there is no B."""
         return np.zeros(self.dim) if self.B is None else self.B.dot(u)
 
-    def check(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+    def check(self, times: Array) -> list[tuple[float, ConvexSet]]:
         """Check C(t) on the given increasing times, before any solver runs.
 
         Returns what `MovingSet.members` does, and raises its errors.
@@ -394,7 +395,7 @@ class SweepingProcess(Displayed):
                 VariationWarning,
             )
 
-    def variation(self, times: np.ndarray) -> Variation:
+    def variation(self, times: Array) -> Variation:
         """The total variation v(T) of C between the first and the last time, in |.|_{A^-1}.
 
         d_H(C(t), C(s)) <= v(t) - v(s). Of data, center(t), scale(t) and h(t) with histories that
@@ -424,7 +425,7 @@ class SweepingProcess(Displayed):
             raise InputError("times must hold at least two strictly increasing times")
         return variation(self.C, self.metric, times)
 
-    def velocity_bound(self, times: np.ndarray, paper: bool = False) -> VelocityBound:
+    def velocity_bound(self, times: Array, paper: bool = False) -> VelocityBound:
         """An a priori bound of the velocity, MATH.md section 3:
 
         |u'(t)|_A <= d(B u0, C(0)) + v(T), distances and v in |.|_{A^-1}.
@@ -622,7 +623,7 @@ def _valid_fields(fields: Any, dim: int) -> dict[str, slice]:
     return dict(fields)
 
 
-def _excess(force: np.ndarray, C: ConvexSet, nearest: Nearest | None = None) -> np.ndarray:
+def _excess(force: Array, C: ConvexSet, nearest: Nearest | None = None) -> Array:
     """The force less the nearest point of C; 0 where that is rounding."""
     point = nearest(force, C) if nearest else C.project(force)
     distance = float(np.linalg.norm(force - point))

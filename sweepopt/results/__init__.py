@@ -13,16 +13,3 @@ from sweepopt.results.dataset import (
 from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound
 from sweepopt.results.solution import Pass, Solution
-
-__all__ = [
-    "Energy",
-    "ErrorBound",
-    "NetCDFSink",
-    "Pass",
-    "Solution",
-    "field_names",
-    "netcdf_bytes",
-    "open_run",
-    "software",
-    "solver_name",
-]

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.errors import DamagedFileError, InputError, brought_by
 from sweepopt.integrate import Index, States, StepInfo, fingerprint
 from sweepopt.io import as_path, part_of, versions_of
@@ -85,7 +86,7 @@ class NetCDFSink:
         If h5netcdf or h5py is not installed.
     """
 
-    def __init__(self, path: Path, t: float, u0: np.ndarray, unknowns_digest: str = "") -> None:
+    def __init__(self, path: Path, t: float, u0: Array, unknowns_digest: str = "") -> None:
         self._path, self._part = path, part_of(path)
         package = netcdf_package()
         self.storage = _Storage(self._part, "w+")
@@ -164,7 +165,7 @@ class NetCDFSink:
             done = np.array([step.step for step in steps], dtype=int)
             return States(done, nodes.__getitem__, velocities.__getitem__)
 
-        def read(name: str, i: Index) -> np.ndarray:
+        def read(name: str, i: Index) -> Array:
             if not self._path.is_file():
                 raise InputError(f"{self._path}, which holds the states of this run, is not there")
             package = netcdf_package()
@@ -321,7 +322,7 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
     return run.assign_coords(field=("unknown", names, {"long_name": "field of the unknown"}))
 
 
-def field_names(fields: Mapping[str, Any], size: int) -> np.ndarray:
+def field_names(fields: Mapping[str, Any], size: int) -> Array:
     """The name of each unknown's field; "" where it is in none."""
     names = np.full(size, "", dtype=object)
     for name, part in fields.items():

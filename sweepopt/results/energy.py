@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.display import by_parts
 from sweepopt.integrate import States
 from sweepopt.problem import SweepingProcess
@@ -29,21 +30,21 @@ class Energy(NamedTuple):
         int <f, u'>.
     """
 
-    stored: np.ndarray
-    viscous: np.ndarray
-    friction: np.ndarray
-    work: np.ndarray
+    stored: Array
+    viscous: Array
+    friction: Array
+    work: Array
 
     def __repr__(self) -> str:
         return by_parts(self)
 
     @property
-    def balance(self) -> np.ndarray:
+    def balance(self) -> Array:
         """stored + viscous + friction - work: zero up to the error of the scheme."""
         return self.stored + self.viscous + self.friction - self.work
 
 
-def energy_of(process: SweepingProcess, t: np.ndarray, states: States) -> Energy:
+def energy_of(process: SweepingProcess, t: Array, states: States) -> Energy:
     """Energies of a run of which all steps are kept; forces are taken at the middle of each."""
     mu, known = np.diff(t), np.nan if process.moved else 1.0
     powers = np.zeros((3, len(t)))  # viscous, friction, work; none before the start

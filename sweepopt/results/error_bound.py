@@ -47,6 +47,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.errors import PathError, Status
 from sweepopt.integrate import (
     MEMORY,
@@ -113,9 +114,9 @@ class ErrorBound(float):
     """
 
     reason: str
-    t: np.ndarray
-    of_t: np.ndarray
-    B: np.ndarray
+    t: Array
+    of_t: Array
+    B: Array
     lower: float
 
     def __repr__(self) -> str:
@@ -127,9 +128,7 @@ class ErrorBound(float):
         return not self.reason
 
     @classmethod
-    def make(
-        cls, reason: str, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float
-    ) -> ErrorBound:
+    def make(cls, reason: str, t: Array, of_t: Array, B: Array, lower: float) -> ErrorBound:
         # what overflows on the way, inf - inf for example, is not bounded
         of_t, B = (np.where(np.isnan(one), np.inf, one) for one in (of_t, B))
         bound = cls(of_t.max(initial=0.0))
@@ -260,7 +259,7 @@ def _more(passes: list[tuple[int, float]], goal: float, work: int) -> int:
     return math.ceil(min(missing * n, finer, work - n))
 
 
-def _refined(t: np.ndarray, shares: np.ndarray, cuts: int) -> np.ndarray:
+def _refined(t: Array, shares: Array, cuts: int) -> Array:
     """The grid with at most so many cuts: shares / cuts have the least sum at cuts ~ sqrt(shares).
 
     What is less than a cut is left to the steps after it; 0.3 are there at first, as sums of equal
@@ -277,13 +276,13 @@ def _refined(t: np.ndarray, shares: np.ndarray, cuts: int) -> np.ndarray:
 class _Growth(NamedTuple):
     """|u - v|_A and |u - v|_B at most on each step; what each adds; the curve it is about."""
 
-    A: np.ndarray
-    B: np.ndarray
-    shares: np.ndarray
-    curve: np.ndarray
+    A: Array
+    B: Array
+    shares: Array
+    curve: Array
 
 
-def _growth(norms: Norms, t: np.ndarray, each: Residuals) -> _Growth:
+def _growth(norms: Norms, t: Array, each: Residuals) -> _Growth:
     """The smallest of the theorem's bounds, with the best curve on each step."""
     gaps, squares, turning = each[:3]
     turning[~np.isfinite(turning + each.error)] = np.inf
@@ -316,7 +315,7 @@ def _growth(norms: Norms, t: np.ndarray, each: Residuals) -> _Growth:
     return _Growth(A, of_B, once, curve)
 
 
-def _variation(norms: Norms, each: Residuals, curve: np.ndarray, weak: np.ndarray) -> np.ndarray:
+def _variation(norms: Norms, each: Residuals, curve: Array, weak: Array) -> Array:
     """V and sup |r_2| until the end of each step; r_2 is r on the weak steps, and jumps to 0."""
     if not weak.any():
         return np.zeros((2, len(weak)))
@@ -330,8 +329,8 @@ def _variation(norms: Norms, each: Residuals, curve: np.ndarray, weak: np.ndarra
 
 
 def _distance(
-    norm: Callable[[np.ndarray], np.ndarray], nodes: Nodes, slopes: np.ndarray, u: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    norm: Callable[[Array], Array], nodes: Nodes, slopes: Array, u: Array
+) -> tuple[Array, Array]:
     """|v - u_n| at the nodes, and a bound of it on each step, u_n straight between these u.
 
     That of the Bernstein coefficients of the cubic, whose ends are at the nodes; of a straight v
@@ -357,9 +356,9 @@ def companion(
     process: SweepingProcess,
     plan: Plan,
     velocities: Velocities,
-    t: np.ndarray,
+    t: Array,
     with_points: bool,
-) -> tuple[Nodes, np.ndarray, np.ndarray | None]:
+) -> tuple[Nodes, Array, Array | None]:
     """Nodes of the plan's scheme on the grid t, and the velocities at them (the mean at the first).
 
     And points of C(t) at all but the first, where the programs know them.
@@ -394,7 +393,7 @@ def companion(
     return nodes, np.array([velocity[0], *ends]), np.array(members) if known else None
 
 
-def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
+def nodes_of(process: SweepingProcess, plan: Plan, t: Array) -> Nodes:
     """All nodes of a run on the grid t; where its programs miss tol, their residual is bounded."""
     times, mus = time_grid(None, t)
     grid = Grid(times, mus, plan, saving(None, times, process.dim, MEMORY))

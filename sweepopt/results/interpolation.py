@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import instant
+from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError
 from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
@@ -35,9 +35,9 @@ GAUSS_TO_PARTS = basis(3, np.arange(SAMPLES + 1) / SAMPLES) @ TO_BERNSTEIN
 class Intervals(NamedTuple):
     """Intervals inside the steps of a grid: the step of each, and its ends."""
 
-    step: np.ndarray
-    begin: np.ndarray
-    end: np.ndarray
+    step: Array
+    begin: Array
+    end: Array
 
 
 class Interpolated(NamedTuple):
@@ -53,12 +53,12 @@ class Interpolated(NamedTuple):
         A bound of int |phi_k' - the derivative of its polynomial|.
     """
 
-    values: np.ndarray
-    error: np.ndarray
-    slope_error: np.ndarray
+    values: Array
+    error: Array
+    slope_error: Array
 
 
-def smooth_intervals(moving: Motion, t: np.ndarray, parts: int = 1) -> Intervals:
+def smooth_intervals(moving: Motion, t: Array, parts: int = 1) -> Intervals:
     """Equal parts of the steps between the times t, cut at the breakpoints of all histories."""
     equal = np.linspace(t[:-1], t[1:], parts, endpoint=False).ravel()
     cuts = np.unique(np.concatenate([t, equal, breakpoints(moving.histories, t[0], t[-1])]))
@@ -66,7 +66,7 @@ def smooth_intervals(moving: Motion, t: np.ndarray, parts: int = 1) -> Intervals
     return Intervals(step, cuts[:-1], cuts[1:])
 
 
-def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpolated:
+def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
     """Interpolate on intervals between breakpoints."""
     h, m = end - begin, len(begin)
     times = (begin[:, None] + h[:, None] * GAUSS).ravel()
@@ -93,7 +93,7 @@ def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpol
 
 
 def _by_variation(
-    f: Callable[[np.ndarray], np.ndarray], history: Any, a: float, b: float, values: np.ndarray
+    f: Callable[[Array], Array], history: Any, a: float, b: float, values: Array
 ) -> tuple[float, float]:
     """Both errors of a function of which only the variation is known, from samples on parts.
 
@@ -107,7 +107,7 @@ def _by_variation(
     return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
 
-def increments(variation: Callable[[float], float], times: np.ndarray) -> np.ndarray:
+def increments(variation: Callable[[float], float], times: Array) -> Array:
     """v(t_{i+1}) - v(t_i) of a variation, which never falls."""
     grown = np.diff([instant(f"variation({t:g})", variation(t)) for t in times.tolist()])
     if (grown < 0).any():
@@ -119,7 +119,7 @@ def increments(variation: Callable[[float], float], times: np.ndarray) -> np.nda
     return grown
 
 
-def _derivative(history: Any, order: int, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _derivative(history: Any, order: int, begin: Array, end: Array) -> Array:
     """A bound of |phi^(order)| on each interval; all between two breakpoints have one closed form.
 
     That of a product is by Leibniz's rule.
@@ -154,9 +154,9 @@ class Nodes(NamedTuple):
     Their differences would do, but rounding takes them out of cones, where sigma is infinite.
     """
 
-    t: np.ndarray
-    u: np.ndarray
-    velocity: np.ndarray
+    t: Array
+    u: Array
+    velocity: Array
 
 
 CURVES = ("straight", "velocities", "parabolas")
@@ -165,7 +165,7 @@ three nodes, which have more digits where A is next to nothing. Without one of t
 to 2.1, 2.1 and 1.9 times looser (84 stiff rows)."""
 
 
-def slopes_of_curves(nodes: Nodes, velocities: np.ndarray, chosen: Sequence[str]) -> np.ndarray:
+def slopes_of_curves(nodes: Nodes, velocities: Array, chosen: Sequence[str]) -> Array:
     """Bernstein coefficients of v', shape (c, n, 3, dim), of some of CURVES through the nodes."""
     mean = nodes.velocity
     curves = np.empty((len(chosen), len(mean), 3, mean.shape[1]))
@@ -179,7 +179,7 @@ def slopes_of_curves(nodes: Nodes, velocities: np.ndarray, chosen: Sequence[str]
     return curves
 
 
-def _parabolas(nodes: Nodes) -> np.ndarray:
+def _parabolas(nodes: Nodes) -> Array:
     mean, h = nodes.velocity, np.diff(nodes.t)[:, None]
     inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
     return np.concatenate([mean[:1], inner, mean[-1:]])
@@ -188,10 +188,10 @@ def _parabolas(nodes: Nodes) -> np.ndarray:
 def force_along(
     process: SweepingProcess,
     nodes: Nodes,
-    slopes: np.ndarray,
-    i: np.ndarray,
-    theta: np.ndarray,
-) -> np.ndarray:
+    slopes: Array,
+    i: Array,
+    theta: Array,
+) -> Array:
     """A v' + B v at the shares theta, shape (m, k), of the steps i, where v' has these slopes."""
     force = applied(process.A, basis(2, theta) @ slopes)
     if process.B is not None:
@@ -201,7 +201,7 @@ def force_along(
     return force
 
 
-def cubic(begin: np.ndarray, end: np.ndarray, increments: np.ndarray) -> np.ndarray:
+def cubic(begin: Array, end: Array, increments: Array) -> Array:
     """Bernstein coefficients of curves, shape (m, 4, dim), from their ends and h times v'."""
     first, last = begin + increments[:, 0] / 3, end - increments[:, 2] / 3
     return np.stack([begin, first, last, end], axis=1)

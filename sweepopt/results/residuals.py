@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError
 from sweepopt.problem import ONE, Motion, Norms, SweepingProcess, TimeFunction, applied, motion
 from sweepopt.results.interpolation import (
@@ -91,13 +92,13 @@ class Residuals(NamedTuple):
         A bound of the error of begin and end, in the dual norm of B.
     """
 
-    gaps: np.ndarray
-    squares: np.ndarray
-    turning: np.ndarray
-    size: np.ndarray
-    begin: np.ndarray
-    end: np.ndarray
-    error: np.ndarray
+    gaps: Array
+    squares: Array
+    turning: Array
+    size: Array
+    begin: Array
+    end: Array
+    error: Array
 
 
 class _Model(NamedTuple):
@@ -111,13 +112,11 @@ class _Model(NamedTuple):
     motion: Motion
     intervals: Intervals
     summands: list[tuple[TimeFunction, list[ConvexSet]]]
-    distance: np.ndarray
-    members: list[np.ndarray] | None = None
+    distance: Array
+    members: list[Array] | None = None
 
 
-def _each(
-    shapes: list[ConvexSet], function: Callable[..., np.ndarray], *arrays: np.ndarray
-) -> np.ndarray:
+def _each(shapes: list[ConvexSet], function: Callable[..., Array], *arrays: Array) -> Array:
     """function(shape, rows of the arrays) of every shape; of one shape all rows at once."""
     if len(shapes) == 1:
         return function(shapes[0], *arrays)
@@ -129,9 +128,9 @@ def residuals(
     process: SweepingProcess,
     norms: Norms,
     nodes: Nodes,
-    curves: np.ndarray,
+    curves: Array,
     variation: Callable[[float], float] | None,
-    members: np.ndarray | None = None,
+    members: Array | None = None,
 ) -> tuple[Residuals, str]:
     """The residuals of curves through the nodes, and why they are no bounds; "" if they are.
 
@@ -166,8 +165,8 @@ def residuals(
 
 
 def _points_of_several(
-    data: Motion, times: np.ndarray, forces: np.ndarray, speed: np.ndarray
-) -> list[np.ndarray] | None:
+    data: Motion, times: Array, forces: Array, speed: Array
+) -> list[Array] | None:
     """Points of each S at times at which forces are in C(t), normal to -speed; None at a scale 0.
 
     That of a point outside of C(t) is determined by more than rounding.
@@ -208,7 +207,7 @@ def _model(
     norms: Norms,
     nodes: Nodes,
     variation: Callable[[float], float] | None,
-    members: list[np.ndarray] | None,
+    members: list[Array] | None,
 ) -> _Model:
     """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
@@ -252,7 +251,7 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
 
 
 def _bounds(
-    process: SweepingProcess, norms: Norms, nodes: Nodes, curves: np.ndarray, model: _Model
+    process: SweepingProcess, norms: Norms, nodes: Nodes, curves: Array, model: _Model
 ) -> Residuals:
     """Those of all curves, from intervals treated at once."""
     count, moving, step = len(curves), model.motion, model.intervals.step
@@ -294,9 +293,9 @@ def _on_intervals(
     process: SweepingProcess,
     norms: Norms,
     nodes: Nodes,
-    slopes: np.ndarray,
+    slopes: Array,
     model: _Model,
-    terms: list[np.ndarray],
+    terms: list[Array],
     center: Any,
     offsets: Any,
     scales: list[Any],
@@ -356,13 +355,13 @@ def _within_shape(
     norms: Norms,
     f: TimeFunction,
     shapes: list[ConvexSet],
-    s: np.ndarray | None,
+    s: Array | None,
     scale: Interpolated,
-    distance: np.ndarray,
-    aim: np.ndarray,
-    directions: np.ndarray,
-    may_move: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    distance: Array,
+    aim: Array,
+    directions: Array,
+    may_move: Array,
+) -> tuple[Array, Array, Array, Array]:
     """A curve s in S, scale s at GAUSS, the mean of a bound of its G, how far it is moved for that.
 
     s = sum_k b_k size_k s_k / sum_k b_k size_k, size_k > 0 the coefficients of the scale, so that
@@ -387,8 +386,8 @@ def _within_shape(
 
 
 def _within_rows(
-    S: ConvexSet, f: Any, aim: np.ndarray, directions: np.ndarray, h: Interpolated
-) -> tuple[np.ndarray, np.ndarray]:
+    S: ConvexSet, f: Any, aim: Array, directions: Array, h: Interpolated
+) -> tuple[Array, Array]:
     """A curve w in C(t) = { w : G w <= h(t) } at GAUSS, and the mean of a bound of its G.
 
     Where each Bernstein coefficient of w satisfies the rows for that of h's polynomial less its
@@ -413,7 +412,7 @@ def _within_rows(
     return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
 
 
-def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[np.ndarray]:
+def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[Array]:
     """The vectors of a center(t) in both dual norms; what a function varies is Euclidean."""
     roots = np.sqrt([norms.beta, norms.beta_B])
     if not center.terms:
@@ -422,15 +421,13 @@ def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[np.ndarray]:
     return [norms.dual(vectors), norms.dual_B(vectors)]
 
 
-def _of_terms(center: Interpolated, terms: list[np.ndarray]) -> list[np.ndarray]:
+def _of_terms(center: Interpolated, terms: list[Array]) -> list[Array]:
     """What an interpolated center adds to |r|, in both dual norms, and to int |r'| in that of B."""
     pairs = (center.error, terms[0]), (center.error, terms[1]), (center.slope_error, terms[1])
     return [np.where(e > 0, e * sizes, 0.0).sum(axis=1) for e, sizes in pairs]
 
 
-def _of_scale(
-    norms: Norms, f: TimeFunction, s: np.ndarray, scale: Interpolated
-) -> list[np.ndarray]:
+def _of_scale(norms: Norms, f: TimeFunction, s: Array, scale: Interpolated) -> list[Array]:
     """What an interpolated scale of a curve s adds, likewise."""
     each, each_B = (
         np.array([norm(size * s).max(axis=1) for _, size in f.terms]).T
@@ -442,7 +439,7 @@ def _of_scale(
     return [(e * sizes).sum(axis=1) for e, sizes in pairs]
 
 
-def _curve_in_shape(shapes: list[ConvexSet], force: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Array:
     """Bernstein coefficients of a curve in S, shape (m, 4, dim).
 
     Those of the force / scale, projected on S: S is convex, so the curve stays in it.
@@ -456,18 +453,18 @@ def _curve_in_shape(shapes: list[ConvexSet], force: np.ndarray, sizes: np.ndarra
     # the curve is the force itself
     line = _projections(S, ends)
     inside = (np.abs(line - ends) <= SAME * np.abs(ends).max()).all(axis=(1, 2))
-    s: np.ndarray = line[:, :1] + THIRDS[:, None] * (line[:, 1:] - line[:, :1])
+    s: Array = line[:, :1] + THIRDS[:, None] * (line[:, 1:] - line[:, :1])
     if inside.any():
         s[inside, 1:-1] = _projections(S, aim[inside, 1:-1])
     return s
 
 
-def _projections(S: ConvexSet, curves: np.ndarray) -> np.ndarray:
+def _projections(S: ConvexSet, curves: Array) -> Array:
     """Points of S next to those of curves."""
     return S.project_rows(curves.reshape(-1, S.dim)).reshape(curves.shape)
 
 
-def _gaps(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+def _gaps(S: ConvexSet, p: Array, s: Array, ratios: Array) -> Array:
     """The mean of G along each curve in S, and how far it is moved for it, shape (m, 2)."""
     if S.selection is not None:
         few, S, shift = S.selection
@@ -476,8 +473,8 @@ def _gaps(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratios: np.ndarray) -> np.
 
 
 def _sampled(
-    process: SweepingProcess, times: np.ndarray, aim: np.ndarray, directions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    process: SweepingProcess, times: Array, aim: Array, directions: Array
+) -> tuple[Array, Array]:
     """The projection of the aim on C(t) at GAUSS, and the mean of G by Gauss's rule; no bound."""
     w, gaps = np.empty(aim.shape), np.empty(times.shape)
     for at in np.ndindex(*times.shape):

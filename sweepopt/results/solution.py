@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt import checks
+from sweepopt.checks import Array
 from sweepopt.display import Displayed, Rows, evenly, svg
 from sweepopt.errors import (
     BoundWarning,
@@ -68,8 +69,8 @@ TRIED = {
 class Field(NamedTuple):
     """Some unknowns of a solution by name: at its times, and their velocities in its steps."""
 
-    u: np.ndarray
-    velocity: np.ndarray
+    u: Array
+    velocity: Array
 
 
 class _Absent(SimpleNamespace):
@@ -114,7 +115,7 @@ class Solution(Displayed):
 
     process: SweepingProcess
     plan: Plan
-    t: np.ndarray
+    t: Array
     states: States
     statistics: Statistics
     status: Status
@@ -163,22 +164,22 @@ class Solution(Displayed):
         return svg([np.column_stack([t, x]) for x in u.T], title=f"{names}: {span}")
 
     @property
-    def steps(self) -> np.ndarray:
+    def steps(self) -> Array:
         """The kept steps, counted from 0, shape (k,)."""
         return self.states.steps
 
     @cached_property
-    def u(self) -> np.ndarray:
+    def u(self) -> Array:
         """u_n at the times t, shape (k+1, dim)."""
         return self.states.u(slice(None))
 
     @cached_property
-    def velocity(self) -> np.ndarray:
+    def velocity(self) -> Array:
         """u_n' in the kept steps, shape (k, dim): (u_{i+1} - u_i) / mu of each."""
         return self.states.velocity(slice(None))
 
     @cached_property
-    def stats(self) -> np.ndarray:
+    def stats(self) -> Array:
         """A structured array, one row a step, shape (n,).
 
         t (its end), seconds, iterations, attempts, certificate (the largest bound of |z - z*|_M
@@ -236,7 +237,7 @@ class Solution(Displayed):
         return len(self.steps) == len(self.statistics.rows)
 
     @cached_property
-    def _grid(self) -> np.ndarray:
+    def _grid(self) -> Array:
         """All times of the run, kept or not, shape (n+1,)."""
         return self.t if self.complete else np.append(self.t[0], self.statistics.rows["t"])
 
@@ -250,7 +251,7 @@ class Solution(Displayed):
         """The status as a sentence, how many steps missed tol whole, the cause of an early stop."""
         return f"{self.status.value} {self.cause}".rstrip()
 
-    def __call__(self, t: Any) -> np.ndarray:
+    def __call__(self, t: Any) -> Array:
         """u_n(t) = u_{i+1} - (t_{i+1} - t) u_n', u_n' the velocity of step i.
 
         Parameters
@@ -274,13 +275,13 @@ class Solution(Displayed):
         values[later] = self.states.u(i + 1) - before * self.states.velocity(i)
         return values
 
-    def _inside(self, t: Any) -> np.ndarray:
+    def _inside(self, t: Any) -> Array:
         """The times as floats; one that misses a kept node by rounding is that node."""
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
         return checks.times_inside(t, self.t)
 
-    def _step_of(self, times: np.ndarray) -> np.ndarray:
+    def _step_of(self, times: Array) -> Array:
         """i with t in (t_i, t_{i+1}]; refused if that step was not kept."""
         i = np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
         between = times < self._grid[self.steps[i]]
@@ -346,7 +347,7 @@ class Solution(Displayed):
             tableau = implicit_euler(tableau.euler_steps)
         return program_of_stage(self.process, t, u, end - t, tableau, stage)
 
-    def viability(self, t: Any = None) -> np.ndarray:
+    def viability(self, t: Any = None) -> Array:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
         Where A is singular that is the metric of A + tau B, the process's `metric`.
@@ -372,7 +373,7 @@ class Solution(Displayed):
                 return np.where(certificate == 0, 0.0, certificate * np.sqrt(ratios))
         return self._at_times(t, self._distance)
 
-    def residual(self, t: Any) -> np.ndarray:
+    def residual(self, t: Any) -> Array:
         """The residual of the variational inequality, sigma(C(t), -u_n') + <u_n', A u_n' + B u_n>.
 
         For C(t) = f - D it is J(u') - <f, u'> + <A u' + B u, u'>: minus the least value that
@@ -478,7 +479,7 @@ class Solution(Displayed):
         with np.errstate(over="ignore", invalid="ignore"):  # a bound may be infinite
             return error_bound(self.process, self.plan, run, variation)
 
-    def _distance(self, _: np.ndarray, force: np.ndarray, C: Any) -> float:
+    def _distance(self, _: Array, force: Array, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
         projection = self._projection(force, C)
         if projection.relative > self.plan.tol:
@@ -488,7 +489,7 @@ class Solution(Displayed):
             )
         return self.process.metric.norm(projection.z)
 
-    def _at_times(self, t: Any, measure: Any) -> np.ndarray:
+    def _at_times(self, t: Any, measure: Any) -> Array:
         times, values = self._inside(t), list[float]()
         for time, i in zip(times.ravel(), self._step_of(times).ravel().tolist(), strict=True):
             z = self.states.velocity(i)

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
+from sweepopt.checks import Array
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
     Blocks,
@@ -57,11 +58,11 @@ class Aligned(ConvexSet):
 
     parts: tuple[ConvexSet, ...]
     unknowns: Any = None
-    v: np.ndarray | None = None
+    v: Array | None = None
     factor = 1.0
 
     def __init__(
-        self, *parts: ConvexSet, unknowns: np.ndarray | None = None, dim: int | None = None
+        self, *parts: ConvexSet, unknowns: Array | None = None, dim: int | None = None
     ) -> None:
         self.parts, self.unknowns = parts, unknowns
         self.dim = sum(S.dim for S in parts) if dim is None else dim
@@ -89,7 +90,7 @@ class Aligned(ConvexSet):
         each = zip(self.parts, self._places, strict=True)
         return [(S, *(x[at] for x in vectors)) for S, at in each]
 
-    def _joined(self, blocks: list[Any], rest: np.ndarray | None = None) -> np.ndarray:
+    def _joined(self, blocks: list[Any], rest: Array | None = None) -> Array:
         """The vector that has a block for each part, 0 or the rest beside them."""
         if self.whole:
             return np.asarray(blocks[0])
@@ -98,11 +99,11 @@ class Aligned(ConvexSet):
             w[at] = block
         return w
 
-    def _to(self, x: np.ndarray) -> np.ndarray:
+    def _to(self, x: Array) -> Array:
         x = x if self.factor == 1 else self.factor * x
         return x if self.v is None else x + self.v
 
-    def _back(self, w: np.ndarray) -> np.ndarray:
+    def _back(self, w: Array) -> Array:
         w = w if self.v is None else w - self.v
         return w if self.factor == 1 else w / self.factor
 
@@ -114,7 +115,7 @@ class Aligned(ConvexSet):
     # ---- the laws -------------------------------------------------------------------------------
 
     @cached_property
-    def offsets(self) -> np.ndarray:  # type: ignore[override]
+    def offsets(self) -> Array:  # type: ignore[override]
         inner = abs(self.factor) * np.concatenate([S.offsets for S in self.parts])
         return inner if self.v is None else np.concatenate([self.v, inner])
 
@@ -124,30 +125,30 @@ class Aligned(ConvexSet):
         y, constraints = (list(chain(*lists)) for lists in zip(*each, strict=True))
         return Features(own + y, constraints)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         r, sign = self._scale
         sigma = r * sum(S.support(x) for S, x in self._split(sign * z))
         return sigma if self.v is None else sigma + float(self.v @ z)
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         each = self._split(self._back(w))
         return self._to(self._joined([S.project(x) for S, x in each]))
 
-    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+    def project_rows(self, rows: Array) -> Array:
         each = self._split(self._back(rows).T)
         blocks = [S.project_rows(x.T).T for S, x in each]
         joined = self._joined(blocks, np.zeros(rows.T.shape))
         return self._to(joined.T)
 
-    def normal(self, v: np.ndarray) -> np.ndarray:
+    def normal(self, v: Array) -> Array:
         v = self._back(v)
         p = self._joined([S.normal(x) for S, x in self._split(v)], v)
         return p if self.factor == 1 else self.factor * p
 
-    def weights(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: Array) -> Array:
         return self._joined([S.weights(x) for S, x in self._split(tau)], tau)
 
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+    def derivative(self, v: Array) -> Array | None:
         """None for few of the unknowns: their set has one."""
         return assembled(self.blocks(v), self.dim)
 
@@ -163,7 +164,7 @@ class Aligned(ConvexSet):
     def block(self) -> int:
         return max(S.block for S in self.parts)
 
-    def blocks(self, v: np.ndarray) -> list[Blocks] | None:
+    def blocks(self, v: Array) -> list[Blocks] | None:
         """None for few of the unknowns."""
         each = [S.blocks(x) for S, x in self._split(self._back(v))]
         if self._few or any(blocks is None for blocks in each):
@@ -181,13 +182,13 @@ class Aligned(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return sum(S.nonsmooth_dim for S in self.parts)
 
-    def exchange(self, diagonal: np.ndarray) -> np.ndarray:
+    def exchange(self, diagonal: Array) -> Array:
         return self._joined([S.exchange(x) for S, x in self._split(diagonal)])
 
-    def exchanges(self, force: np.ndarray) -> bool:
+    def exchanges(self, force: Array) -> bool:
         return all(S.exchanges(x) for S, x in self._split(self._back(force)))
 
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+    def normal_pair(self, p: Array, w: Array, tau: Array) -> NormalPair | None:
         r, sign = self._scale
         p = sign * p
         each = self._split(p, self._back(w), tau / r)
@@ -203,7 +204,7 @@ class Aligned(ConvexSet):
         w = self._to(self._joined([pair.w for pair in pairs]))
         return NormalPair(p, w, r * sum(pair.gap for pair in pairs), off)
 
-    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
+    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
         r, sign = self._scale
         parts = self._split(*(np.moveaxis(x, -1, 0) for x in (sign * p, self._back(w))))
         each = [
@@ -289,22 +290,22 @@ class Aligned(ConvexSet):
         away = np.linalg.norm((0 if self.v is None else self.v) - (0 if v is None else v))
         return of_scale + abs(factor) * math.hypot(*known) + float(away)
 
-    def with_offsets(self, h: np.ndarray) -> Aligned:
+    def with_offsets(self, h: Array) -> Aligned:
         """That of a polyhedron { w : G w <= h } on some of the unknowns, with another h."""
         part: Any = self.parts[0]
         return Aligned(part.with_offsets(h), unknowns=self.unknowns, dim=self.dim)
 
-    def member(self, h: np.ndarray) -> Aligned:
+    def member(self, h: Array) -> Aligned:
         """As that of the polyhedron."""
         part: Any = self.parts[0]
         return Aligned(part.member(h), unknowns=self.unknowns, dim=self.dim)
 
     @property
-    def anchor(self) -> np.ndarray:
+    def anchor(self) -> Array:
         return self._to(self._joined([S.anchor for S in self.parts]))
 
     @property
-    def shift_sizes(self) -> np.ndarray:
+    def shift_sizes(self) -> Array:
         sizes = abs(self.factor) * self._joined([S.shift_sizes for S in self.parts])
         return sizes if self.v is None else sizes + np.abs(self.v)
 
@@ -342,7 +343,7 @@ def product_of(parts: tuple[ConvexSet, ...]) -> ConvexSet:
 class Similar(Aligned):
     """v + r C for r != 0; v None is 0."""
 
-    def __init__(self, part: ConvexSet, v: np.ndarray | None = None, factor: float = 1.0) -> None:
+    def __init__(self, part: ConvexSet, v: Array | None = None, factor: float = 1.0) -> None:
         super().__init__(part)
         self.v, self.factor = v, factor
 

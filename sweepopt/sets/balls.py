@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.checks import HUGE, dimension, entries, number, symmetric
+from sweepopt.checks import HUGE, Array, dimension, entries, number, symmetric
 from sweepopt.errors import InputError
 from sweepopt.linalg import Precise, dense
 from sweepopt.sets.base import (
@@ -39,7 +39,7 @@ STEPS = 100  # of Newton's method, a bound that is not met: each change of regim
 class _InBlocks(ConvexSet):
     """Sets of one block after the other in the vector."""
 
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+    def derivative(self, v: Array) -> Array | None:
         return assembled(self.blocks(v), self.dim)
 
 
@@ -65,7 +65,7 @@ class Balls(_InBlocks):
     7.0
     """
 
-    center: np.ndarray | float = 0.0
+    center: Array | float = 0.0
     sharp_gaps = True
 
     def __init__(self, radii: Any, dim: int) -> None:
@@ -77,18 +77,18 @@ class Balls(_InBlocks):
         self.dim = self.block * self.radii.size
         self.polyhedral = self.block == 1
 
-    def _arms(self, w: np.ndarray) -> np.ndarray:
+    def _arms(self, w: Array) -> Array:
         """From the centres, one row for each ball."""
         return (w - self.center).reshape(-1, self.block)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         lengths = np.linalg.norm(z.reshape(-1, self.block), axis=1)
         return float(np.sum(self.center * z) + self.radii @ lengths)
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         return self.project_rows(w[None])[0]
 
-    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+    def project_rows(self, rows: Array) -> Array:
         arms = self._arms(rows).reshape(len(rows), -1, self.block)
         lengths = np.linalg.norm(arms, axis=2)
         outside = lengths > self.radii
@@ -104,7 +104,7 @@ class Balls(_InBlocks):
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], norms_below(p, sizes, self.block))
 
-    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
+    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
         shift = p @ np.broadcast_to(self.center, self.dim)  # of sums, for their rounding
         p, arms = (
             np.moveaxis(x.reshape(*x.shape[:2], -1, self.block), 2, 1) for x in (p, w - self.center)
@@ -119,7 +119,7 @@ class Balls(_InBlocks):
         distances = np.linalg.norm(np.where(better, arcs, 0.0), axis=1)
         return CurveGaps(np.where(better, 0.0, of_w).sum(axis=1), distances)
 
-    def blocks(self, v: np.ndarray) -> list[Blocks]:
+    def blocks(self, v: Array) -> list[Blocks]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
         arms = self._arms(v)
         lengths = np.linalg.norm(arms, axis=1)
@@ -178,7 +178,7 @@ class Ball(Balls):
         return Features([p, *sizes], constraints)
 
     @property
-    def shift_sizes(self) -> np.ndarray:
+    def shift_sizes(self) -> Array:
         return np.abs(self.center)
 
     def factors(self) -> list[ConvexSet]:
@@ -218,25 +218,25 @@ class SecondOrderCone(_InBlocks):
         self.dim = self.block * self.slopes.size
         self.polyhedral = self.block <= 2
 
-    def _split(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _split(self, w: Array) -> tuple[Array, Array, Array]:
         """Heights over the apex, arms from the axis and their lengths, one for each cone."""
         rows = w.reshape(-1, self.block)
         return rows[:, 0], rows[:, 1:], np.linalg.norm(rows[:, 1:], axis=1)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         height, _, length = self._split(z)
         excess = height + self.slopes * length
         inside = excess <= ROUNDING * (np.abs(height) + self.slopes * length)
         return 0.0 if inside.all() else float("inf")
 
-    def normal(self, v: np.ndarray) -> np.ndarray:
+    def normal(self, v: Array) -> Array:
         # the polar cone is that of the slopes 1 / slopes, turned around
         return 0.0 - self._onto(-v, 1 / self.slopes)
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         return self._onto(w, self.slopes)
 
-    def _onto(self, w: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    def _onto(self, w: Array, slopes: Array) -> Array:
         height, arms, length = self._split(w)
         beside = length > slopes * height
         if not beside.any():
@@ -246,7 +246,7 @@ class SecondOrderCone(_InBlocks):
         moved = np.column_stack([top, along[:, None] * arms])
         return np.where(beside[:, None], moved, w.reshape(-1, self.block)).ravel()
 
-    def blocks(self, v: np.ndarray) -> list[Blocks]:
+    def blocks(self, v: Array) -> list[Blocks]:
         height, arms, length = self._split(v)
         k, D = self.slopes, np.tile(np.eye(self.block), (self.slopes.size, 1, 1))
         D[(k * length <= -height) & (length > k * height)] = 0.0
@@ -261,14 +261,14 @@ class SecondOrderCone(_InBlocks):
         D[out, 1:, 1:] += turn[:, None, None] * across
         return [neighbours(D)]
 
-    def exchange(self, diagonal: np.ndarray) -> np.ndarray:
+    def exchange(self, diagonal: Array) -> Array:
         each = diagonal.reshape(-1, self.block)
         axis, k = each[:, 0], self.slopes
         # <H z, z> = x (|z[1:]|^2 - (z[0] / k)^2)
         x = (axis - each[:, -1]) / (1 + k**-2)
         return np.column_stack([-x / k**2, *[x] * (self.block - 1)]).ravel()
 
-    def exchanges(self, force: np.ndarray) -> bool:
+    def exchanges(self, force: Array) -> bool:
         return bool((force[:: self.block] >= 0).all())
 
     def factors(self) -> list[ConvexSet]:
@@ -322,7 +322,7 @@ class Ellipsoid(ConvexSet):
     """
 
     fixed = ("matrix",)
-    _shape: np.ndarray | None = None
+    _shape: Array | None = None
 
     def __init__(self, center: Any, shape: Any) -> None:
         center = entries("center", center)
@@ -336,7 +336,7 @@ class Ellipsoid(ConvexSet):
         self._set(center, 1.0, np.linalg.cholesky(shape).T)
         self._shape = shape
 
-    def _set(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
+    def _set(self, center: Array, radius: float, root: Array) -> None:
         """{ center + radius root^T s : |s| <= 1 }."""
         self.center, self.dim, self.matrix = center, center.size, root
         self.root = radius * root
@@ -348,17 +348,17 @@ class Ellipsoid(ConvexSet):
         self.offsets = np.append(center, radius * self._unit)
 
     @property
-    def shift_sizes(self) -> np.ndarray:
+    def shift_sizes(self) -> Array:
         return np.full(self.dim, np.linalg.norm(self.center))  # axes mix the entries
 
     @cached_property
     def _times_shape(self) -> Precise:
         return Precise(self._shape)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         return float(self.center @ z + np.linalg.norm(self.root @ z))
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         # x_i = e_i d_i / (e_i + lam)
         d, e = self._axes.T @ (w - self.center), self._squares
         lam = self._memo(d, self._multiplier)
@@ -366,7 +366,7 @@ class Ellipsoid(ConvexSet):
             return w
         return self.center + self._axes @ (e / np.maximum(e + lam, TINY) * d)
 
-    def derivative(self, v: np.ndarray) -> np.ndarray:
+    def derivative(self, v: Array) -> Array:
         d, e = self._axes.T @ (v - self.center), self._squares
         lam = self._memo(d, self._multiplier)
         inner = np.diag(e / np.maximum(e + lam, TINY))
@@ -375,7 +375,7 @@ class Ellipsoid(ConvexSet):
             inner -= np.outer(fall, fall) / (fall @ (d / (e + lam)))
         return self._axes @ inner @ self._axes.T
 
-    def _multiplier(self, d: np.ndarray) -> float:
+    def _multiplier(self, d: Array) -> float:
         """The root lam > 0 of |x(lam)| = 1,  x_i = sqrt(e_i) d_i / (e_i + lam);  0 inside.
 
         1 / |x(lam)| is concave and grows, so that Newton's method from lam = 0 rises to the root
@@ -397,7 +397,7 @@ class Ellipsoid(ConvexSet):
                 break
         return lam
 
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+    def normal_pair(self, p: Array, w: Array, tau: Array) -> NormalPair | None:
         pair = super().normal_pair(p, w, tau)
         if pair is None or self._shape is None or not pair.p.any():
             return pair
@@ -421,5 +421,5 @@ class Ellipsoid(ConvexSet):
 class BallImage(Ellipsoid):
     """{ center + radius root^T s : |s| <= 1 }, flat where the root has no full rank."""
 
-    def __init__(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
+    def __init__(self, center: Array, radius: float, root: Array) -> None:
         self._set(center, radius, root)

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, divisor, number, vector
+from sweepopt.checks import Array, Matrix, divisor, number, vector
 from sweepopt.display import Brief, brief, svg
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
@@ -61,8 +61,8 @@ class Features(NamedTuple):
 class Perturbation(NamedTuple):
     """Bounds, entry by entry, of what rounding moves w and p of a pair."""
 
-    w: np.ndarray
-    p: np.ndarray
+    w: Array
+    p: Array
 
 
 class NormalPair(NamedTuple):
@@ -72,8 +72,8 @@ class NormalPair(NamedTuple):
     order. None where that is nothing but the last digits of w and p.
     """
 
-    p: np.ndarray
-    w: np.ndarray
+    p: Array
+    w: Array
     gap: float
     perturbation: Perturbation | None = None
 
@@ -81,9 +81,9 @@ class NormalPair(NamedTuple):
 class Selection(NamedTuple):
     """C = shift + { w : w[unknowns] in part, all other entries 0 }; shift None is 0."""
 
-    unknowns: np.ndarray
+    unknowns: Array
     part: ConvexSet
-    shift: np.ndarray | None
+    shift: Array | None
 
 
 class Blocks(NamedTuple):
@@ -92,16 +92,16 @@ class Blocks(NamedTuple):
     They take the memory of k n^2 numbers where the derivative takes (k n)^2.
     """
 
-    unknowns: np.ndarray
-    D: np.ndarray
+    unknowns: Array
+    D: Array
 
 
-def neighbours(D: np.ndarray) -> Blocks:
+def neighbours(D: Array) -> Blocks:
     """Blocks one after the other in the vector."""
     return Blocks(np.arange(D.shape[0] * D.shape[1]).reshape(D.shape[:2]), D)
 
 
-def assembled(blocks: list[Blocks] | None, dim: int) -> np.ndarray | None:
+def assembled(blocks: list[Blocks] | None, dim: int) -> Array | None:
     """The derivative of these blocks, a diagonal as a vector."""
     if blocks is None:
         return None
@@ -136,24 +136,24 @@ class CurveGaps(NamedTuple):
         At least the distance of the curve from the one that was given, at any time.
     """
 
-    gaps: np.ndarray
-    distances: np.ndarray
+    gaps: Array
+    distances: Array
 
 
 class Halfspaces(NamedTuple):
     """C = { w : N w <= d, E w = e }, matrices dense or sparse."""
 
     N: Any
-    d: np.ndarray
-    E: np.ndarray
-    e: np.ndarray
+    d: Array
+    E: Array
+    e: Array
 
     @classmethod
-    def below(cls, N: Any, d: np.ndarray) -> Halfspaces:
+    def below(cls, N: Any, d: Array) -> Halfspaces:
         """N w <= d alone."""
         return cls(N, d, np.zeros((0, N.shape[1])), np.zeros(0))
 
-    def inequalities(self) -> tuple[np.ndarray, np.ndarray]:
+    def inequalities(self) -> tuple[Array, Array]:
         """G and h with C = { w : G w <= h }, an equation as two rows."""
         N, d, E, e = self
         return np.vstack([dense(N), E, -E]), np.concatenate([d, e, -e])
@@ -373,7 +373,7 @@ class ConvexSet(Operators, ABC):
     """
 
     dim: int = cast(int, _Required("its number of unknowns"))
-    offsets: np.ndarray = cast(
+    offsets: Array = cast(
         Any, _Required("an array of the numbers in which its support function is linear")
     )
     fixed: tuple[str, ...] = ()
@@ -403,11 +403,11 @@ class ConvexSet(Operators, ABC):
     # ---- the contract -------------------------------------------------------------------------
 
     @abstractmethod
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         """sigma(C, z) = sup of <w, z> over w in C; +inf where C is unbounded in direction z."""
 
     @abstractmethod
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         """The point of C nearest to w in the Euclidean norm."""
 
     @abstractmethod
@@ -429,7 +429,7 @@ class ConvexSet(Operators, ABC):
         """C for one run alone: `start_at` on it is not seen by others."""
         return self if self.exact else copy.copy(self)
 
-    def _memo(self, v: np.ndarray, function: Callable[[np.ndarray], Any]) -> Any:
+    def _memo(self, v: Array, function: Callable[[Array], Any]) -> Any:
         """function(v), kept for the last v: projection, derivative and pair ask in turn.
 
         Threads may do so at once: each takes what is kept as one, key and value.
@@ -439,7 +439,7 @@ class ConvexSet(Operators, ABC):
             last = self._last = key, function(v)
         return last[1]
 
-    def outline(self) -> np.ndarray:
+    def outline(self) -> Array:
         """Points around the boundary of a bounded set in the plane, shape (k, 2); else none.
 
         Of a set without certificates they are corners of supporting lines, up to 1e-3 outside.
@@ -463,18 +463,18 @@ class ConvexSet(Operators, ABC):
             return ""
         return svg([points], equal=True) if points.size else ""
 
-    def normal(self, v: np.ndarray) -> np.ndarray:
+    def normal(self, v: Array) -> Array:
         """v - P_C(v), exactly 0 in C; sets with an unbounded direction compute it in dom sigma."""
         return v - self.project(v)
 
-    def weights(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: Array) -> Array:
         """Positive weights near tau in whose metric `project` is the projection too.
 
         One number for the unknowns of each block: every factor of a product keeps its own units.
         """
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+    def derivative(self, v: Array) -> Array | None:
         """A generalised derivative of `project` at v; None where none is known.
 
         Returns
@@ -502,14 +502,14 @@ class ConvexSet(Operators, ABC):
         """Whether `blocks` is known."""
         return self.blocks(self.anchor) is not None
 
-    def blocks(self, v: np.ndarray) -> list[Blocks] | None:
+    def blocks(self, v: Array) -> list[Blocks] | None:
         """The blocks of `derivative`; None where that is not known."""
         D, at = self.derivative(v), np.arange(self.dim)
         if D is None:
             return None
         return [Blocks(at[:, None], D[:, None, None]) if D.ndim == 1 else Blocks(at[None], D[None])]
 
-    def exchange(self, diagonal: np.ndarray) -> np.ndarray:
+    def exchange(self, diagonal: Array) -> Array:
         """A diagonal H that may be added to this one, so that `project` knows the metric.
 
         <H z, z> = 0 where -z is on the boundary of dom sigma: where `exchanges` says that the
@@ -517,11 +517,11 @@ class ConvexSet(Operators, ABC):
         """
         return np.zeros(self.dim)
 
-    def exchanges(self, force: np.ndarray) -> bool:
+    def exchanges(self, force: Array) -> bool:
         """Whether -z in N_C(M z + force) puts -z on the boundary of dom sigma, or z = 0."""
         return True
 
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+    def normal_pair(self, p: Array, w: Array, tau: Array) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.
 
         Parameters
@@ -535,12 +535,12 @@ class ConvexSet(Operators, ABC):
         v = w + weights * p
         return NormalPair(self.normal(v) / weights, self.project(v), 0.0)
 
-    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
+    def gap(self, p: Array, w: Array) -> float:
         """sigma(C, p) - <p, w> >= 0 for w in C; zero exactly if p is normal to C at w."""
         sigma = self.support(p)
         return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
 
-    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
+    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
         """Curves in C near curves w beside quadratic curves p of directions, on [0, 1].
 
         w itself: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
@@ -559,15 +559,15 @@ class ConvexSet(Operators, ABC):
         gaps = (products(2, w.shape[1] - 1) * each).sum(axis=(1, 2))
         return CurveGaps(gaps, np.zeros_like(gaps))
 
-    def supports_along(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def supports_along(self, p: Array, w: Array) -> Array:
         """sigma(C, p_j) of quadratic curves p, or bounds of it that are close beside curves w."""
         return self.support_rows(p.reshape(-1, self.dim)).reshape(p.shape[:2])
 
-    def support_rows(self, rows: np.ndarray) -> np.ndarray:
+    def support_rows(self, rows: Array) -> Array:
         """`support` of each row, shape (m, dim)."""
         return np.array([self.support(p) if p.any() else 0.0 for p in rows])
 
-    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+    def project_rows(self, rows: Array) -> Array:
         """`project` of each row, shape (m, dim)."""
         return np.array([self.project(w) for w in rows])
 
@@ -584,17 +584,17 @@ class ConvexSet(Operators, ABC):
         """
         return self.algebra.epigraph(self, p)
 
-    def start_at(self, v: np.ndarray, s: np.ndarray, n: np.ndarray) -> None:
+    def start_at(self, v: Array, s: Array, n: Array) -> None:
         """Find the projection of v from points s of the parts and normals n; formulas need none.
 
         Its last bits are those of this start: to be called on a set that is `apart`.
         """
 
-    def is_beyond(self, w: np.ndarray, distance: float) -> bool:
+    def is_beyond(self, w: Array, distance: float) -> bool:
         """Whether it is known without a projection that w is further from C than that."""
         return False
 
-    def contains(self, w: np.ndarray, tol: float = 1e-9) -> bool:
+    def contains(self, w: Array, tol: float = 1e-9) -> bool:
         """Whether the Euclidean distance of w to C is at most tol."""
         w, tol = vector("w", w, self.dim), number("tol", tol, minimum=0.0)
         return bool(np.linalg.norm(w - self.project(w)) <= tol)
@@ -640,12 +640,12 @@ class ConvexSet(Operators, ABC):
         return False
 
     @property
-    def anchor(self) -> np.ndarray:
+    def anchor(self) -> Array:
         """The translation c of C = c + S, zero for a set that is not written as a translate."""
         return np.zeros(self.dim)
 
     @property
-    def shift_sizes(self) -> np.ndarray:
+    def shift_sizes(self) -> Array:
         """Sizes of the translations in C, centres among them: its points round as they do."""
         return np.abs(self.anchor)
 
@@ -690,11 +690,11 @@ class ConvexSet(Operators, ABC):
         """C(t): a set that does not move is the same at every time."""
         return self
 
-    def at_many(self, times: np.ndarray) -> list[ConvexSet]:
+    def at_many(self, times: Array) -> list[ConvexSet]:
         """As `MovingSet.at_many`."""
         return [self] * len(times)
 
-    def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+    def members(self, times: Array) -> list[tuple[float, ConvexSet]]:
         """As `MovingSet.members`: one member, itself."""
         self.require_nonempty(f"C(t) at t = {times[0]:g}")
         return [(float(times[0]), self)]
@@ -736,7 +736,7 @@ def binary(size: float) -> float:
     return math.ldexp(0.5, math.frexp(size)[1]) if size else 1.0
 
 
-def row_units(name: str, M: Matrix) -> np.ndarray:
+def row_units(name: str, M: Matrix) -> Array:
     """`binary` of the largest entry of each row; refused, as `name` calls it, if that is tiny."""
     largest = abs(M).max(axis=1)
     largest = (largest.toarray() if sp.issparse(M) else largest).ravel()
@@ -753,7 +753,7 @@ def same_array(a: Any, b: Any) -> bool:
     return not (different.nnz if sp.issparse(different) else different.any())
 
 
-def difference(a: Any, b: Any) -> np.ndarray:
+def difference(a: Any, b: Any) -> Array:
     """a - b for bounds that may be infinite: equal infinities differ by 0."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     return np.subtract(a, b, out=np.zeros(a.shape), where=a != b)

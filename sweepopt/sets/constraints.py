@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import lsmr
 
-from sweepopt.checks import dimension
+from sweepopt.checks import Array, dimension
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.sets.base import ConvexSet, Features
 from sweepopt.sets.programs import in_turn, normal_by_program, support_by_program
@@ -101,13 +101,13 @@ class Constraints(ConvexSet):
             raise InputError("the constraints of build(w) hold a number that is not finite")
         self.offsets, self.G, self.H, self.cones = in_own_units(form)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         value = support_by_program(self, z)
         if value == np.inf:
             self.require_nonempty()
         return value
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         return w - normal_by_program(self, w)
 
     def features(self, p: cp.Expression) -> Features:
@@ -177,7 +177,7 @@ class Block(NamedTuple):
 class Conic(NamedTuple):
     """C = { w : h - G w - H v in K for some v }."""
 
-    h: np.ndarray
+    h: Array
     G: sp.csr_array
     H: sp.csr_array
     K: list[Block]
@@ -236,7 +236,7 @@ def _turn(K: list[Block], size: int) -> sp.csr_array:
     return sp.csr_array(turn)
 
 
-def _shear(K: list[Block], D: np.ndarray) -> sp.csr_array:
+def _shear(K: list[Block], D: Array) -> sp.csr_array:
     """s0 + s1 log r in exponential cones whose s2 is multiplied by r times as much as s1."""
     shear = sp.eye_array(D.size, format="lil")
     for kind, rows, _ in K:
@@ -274,7 +274,7 @@ def _symmetries(K: list[Block]) -> sp.csr_array:
     return sp.csr_array(sp.block_diag(parts))
 
 
-def _exponents(A: sp.csr_array, symmetries: sp.csr_array, n: int) -> tuple[np.ndarray, np.ndarray]:
+def _exponents(A: sp.csr_array, symmetries: sp.csr_array, n: int) -> tuple[Array, Array]:
     """D = S x and E with 2^D_i |A_ij| 2^E_j near 1, x and E whole numbers.
 
     The first n columns count as one, by their largest entries, and keep their unit: E_j is 0. So it

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 
+from sweepopt.checks import Array
 from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import RANK, ConvexSet, Form, Halfspaces, NoHalfspacesError, places
@@ -28,11 +29,11 @@ FLAT = 1e-12  # of a set's offsets: a smaller radius is rounding
 class Affine(NamedTuple):
     """{ origin + span r }, the columns of span orthonormal."""
 
-    origin: np.ndarray
-    span: np.ndarray
+    origin: Array
+    span: Array
 
     @classmethod
-    def solutions(cls, E: np.ndarray, e: np.ndarray) -> Affine:
+    def solutions(cls, E: Array, e: Array) -> Affine:
         """Those of E w = e."""
         return cls(np.linalg.lstsq(E, e, rcond=RANK)[0], scipy.linalg.null_space(E, RANK))
 
@@ -76,7 +77,7 @@ def facets(C: ConvexSet) -> Halfspaces:
     return Halfspaces(N, d + N @ w, rest, rest @ w)
 
 
-def _sums(form: Form) -> np.ndarray:
+def _sums(form: Form) -> Array:
     """The vertices of E S: sums of those of the factors of S."""
     points, factors = np.zeros((1, form.E.shape[0])), product_of(form.parts).factors()
     for S, at in zip(factors, places(factors), strict=True):
@@ -88,7 +89,7 @@ def _sums(form: Form) -> np.ndarray:
     return points
 
 
-def _corners(rows: Halfspaces) -> np.ndarray:
+def _corners(rows: Halfspaces) -> Array:
     """The vertices of { w : N w <= d, E w = e }, if it is bounded.
 
     Seen from an inner point, the centre of the largest ball, they are the facets of the polar set.

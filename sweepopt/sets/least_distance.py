@@ -29,6 +29,7 @@ import scipy.optimize
 import scipy.sparse as sp
 from scipy.linalg.lapack import dtrtrs
 
+from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import EPS, dense, product_error, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING
@@ -41,8 +42,8 @@ EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 class Shortest(NamedTuple):
     """The shortest u, and independent rows with equality whose multipliers are >= 0."""
 
-    u: np.ndarray
-    active: np.ndarray
+    u: Array
+    active: Array
 
 
 class Flat(NamedTuple):
@@ -58,14 +59,12 @@ class Flat(NamedTuple):
         Rows that are parallel to none of these.
     """
 
-    equations: np.ndarray
-    widths: np.ndarray
-    others: np.ndarray
+    equations: Array
+    widths: Array
+    others: Array
 
 
-def shortest_on(
-    flat: Flat | None, G: Any, slack: np.ndarray, rounding: np.ndarray
-) -> Shortest | None:
+def shortest_on(flat: Flat | None, G: Any, slack: Array, rounding: Array) -> Shortest | None:
     """As `least_distance`, with equality on the equations, which come first among active rows.
 
     With an orthonormal basis Z of the kernel of the equations u = u_0 + Z s, s the shortest with
@@ -90,7 +89,7 @@ def shortest_on(
     return Shortest(u + Z @ shortest.u, np.append(equations, others[shortest.active]))
 
 
-def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Shortest | None:
+def least_distance(G: Any, slack: Array, rounding: Array) -> Shortest | None:
     """The shortest u with G u <= slack, exact to rounding on its active rows.
 
     Parameters
@@ -134,9 +133,7 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Shortest 
         implied = np.union1d(implied, dependent)
 
 
-def _binding(
-    G: Any, slack: np.ndarray, rounding: np.ndarray, rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _binding(G: Any, slack: Array, rounding: Array, rows: Array) -> tuple[Array, Array]:
     """Independent ones of these rows that bind the shortest u, and those that depend on them.
 
     A row that others imply with weights <= 0, and contradict, proves that there is no u.
@@ -163,7 +160,7 @@ def _binding(
     return basis, dependent
 
 
-def _on(G: Any, slack: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _on(G: Any, slack: Array, rows: Array) -> tuple[Array, Array]:
     """The shortest u with equality on rows, without those whose multiplier is negative."""
     while rows.size:
         Q, R = np.linalg.qr(dense(G[rows]).T)
@@ -178,11 +175,11 @@ def _on(G: Any, slack: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.nda
 class NonnegativeSolution(NamedTuple):
     """y >= 0 with the least |A y - b|, and that."""
 
-    y: np.ndarray
+    y: Array
     residual: float
 
 
-def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> NonnegativeSolution:
+def nonnegative_least_squares(A: Array, b: Array) -> NonnegativeSolution:
     """The y >= 0 that minimises |A y - b|, by an active set.
 
     Up to SciPy 1.17 `nnls` may return a y that is no minimiser, with a residual that is not that of
@@ -196,7 +193,7 @@ def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> NonnegativeSoluti
     return NonnegativeSolution(y, residual)
 
 
-def projector(rows: np.ndarray) -> np.ndarray:
+def projector(rows: Array) -> Array:
     """The orthogonal projection on the span of the rows."""
     return np.linalg.pinv(rows, RANK) @ rows
 
@@ -207,11 +204,11 @@ def projector(rows: np.ndarray) -> np.ndarray:
 class Parallel(NamedTuple):
     """Pairs of rows n_i = sign n_j, i < j, each array of shape (k,)."""
 
-    i: np.ndarray
-    j: np.ndarray
-    sign: np.ndarray
+    i: Array
+    j: Array
+    sign: Array
 
-    def equal(self, d: np.ndarray, margin: np.ndarray) -> np.ndarray:
+    def equal(self, d: Array, margin: Array) -> Array:
         """Which of the pairs have one side, d_i = sign d_j, but for the larger margin of the two.
 
         Sides are shape (m,), or (m, k) for k histories.
@@ -220,11 +217,11 @@ class Parallel(NamedTuple):
         change = np.abs(d[i].T - sign * d[j].T).T.reshape(i.size, d[:1].size)
         return change.max(axis=1, initial=0.0) <= np.maximum(margin[i], margin[j])
 
-    def among(self, some: np.ndarray) -> Parallel:
+    def among(self, some: Array) -> Parallel:
         """Some of the pairs."""
         return Parallel(*(x[some] for x in self))
 
-    def opposite_but_for_rounding(self, R: Any) -> np.ndarray:
+    def opposite_but_for_rounding(self, R: Any) -> Array:
         """Which pairs of rows R are a wedge: opposite, but no row is a multiple of the other."""
         wedge = (self.sign < 0) & (row_lengths(R[self.i] + R[self.j]) > 0)
         for k in np.flatnonzero(wedge):  # one by one, as all the rows may fill no memory
@@ -232,7 +229,7 @@ class Parallel(NamedTuple):
         return wedge
 
 
-def _multiples(x: np.ndarray, y: np.ndarray) -> bool:
+def _multiples(x: Array, y: Array) -> bool:
     """Whether y is a multiple of x, in exact arithmetic."""
     k = np.abs(x).argmax()
     equal = (y[k] * x == x[k] * y) & (product_error(y[k], x) == product_error(x[k], y))
@@ -267,7 +264,7 @@ def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
 rational = np.frompyfunc(Fraction, 1, 1)
 
 
-def exact_multipliers(G: np.ndarray, h: np.ndarray, v: np.ndarray, tau: np.ndarray) -> Any:
+def exact_multipliers(G: Array, h: Array, v: Array, tau: Array) -> Any:
     """y >= 0 for which w = v - tau G^T y is the point of { w : G w <= h } nearest to v.
 
     Parameters
@@ -309,7 +306,7 @@ def exact_multipliers(G: np.ndarray, h: np.ndarray, v: np.ndarray, tau: np.ndarr
     return y
 
 
-def _solution(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _solution(H: Array, b: Array) -> Array:
     """H^-1 b, H symmetric positive definite."""
     S = np.column_stack([H, b])
     for k in range(len(S)):

@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import norm
 
+from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import (
@@ -79,7 +80,7 @@ class Lifted(ConvexSet):
     # ---- support function -----------------------------------------------------------------------
 
     @cached_property
-    def offsets(self) -> np.ndarray:  # type: ignore[override]
+    def offsets(self) -> Array:  # type: ignore[override]
         return np.append(np.zeros(self.lifted.F.shape[0]), self._unit * self.part.offsets)
 
     def features(self, p: cp.Expression) -> Features:
@@ -92,17 +93,17 @@ class Lifted(ConvexSet):
         y, constraints = self.part.features(inner - F.T @ multipliers)
         return Features([multipliers, *y], constraints)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         if self._cut:
             return support_by_program(self, z)
         return self.part.support(self._seen(z))
 
-    def support_rows(self, rows: np.ndarray) -> np.ndarray:
+    def support_rows(self, rows: Array) -> Array:
         if self._cut:
             return super().support_rows(rows)
         return self.part.support_rows(self._seen(rows.T).T)
 
-    def _seen(self, z: np.ndarray) -> np.ndarray:
+    def _seen(self, z: Array) -> Array:
         """E^T z; an entry that is nothing but rounding is 0, so that it meets the domain of S."""
         E, sizes = self._transposed
         inner, rounding = E @ z, 2 * ROUNDING * (sizes @ np.abs(z))
@@ -141,7 +142,7 @@ class Lifted(ConvexSet):
         return [float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E))) for E in blocks]
 
     @cached_property
-    def shift_sizes(self) -> np.ndarray:
+    def shift_sizes(self) -> Array:
         return np.asarray(abs(self.lifted.E) @ self.part.shift_sizes)
 
     # ---- projection -----------------------------------------------------------------------------
@@ -175,15 +176,15 @@ class Lifted(ConvexSet):
     def _projector(self) -> Projector:
         return Projector(self.lifted)
 
-    def near(self, v: np.ndarray) -> Projection:
+    def near(self, v: Array) -> Projection:
         """The projection of v, as exactly as it is found."""
         near: Projection = self._memo(v, self._projection)
         return near
 
-    def start_at(self, v: np.ndarray, s: np.ndarray, n: np.ndarray) -> None:
+    def start_at(self, v: Array, s: Array, n: Array) -> None:
         self._last = v.tobytes(), self._projection(v, Start(s, n))
 
-    def _projection(self, v: np.ndarray, start: Start | None = None) -> Projection:
+    def _projection(self, v: Array, start: Start | None = None) -> Projection:
         near = self._projector(v.copy(), start)
         limit = TENSION_EXACT if near.exact else TENSION
         cut = self._cut and self.lifted.small
@@ -197,7 +198,7 @@ class Lifted(ConvexSet):
             )
         return near
 
-    def is_beyond(self, w: np.ndarray, distance: float) -> bool:
+    def is_beyond(self, w: Array, distance: float) -> bool:
         """By the half-space of the last projection, which bodies that slide seldom come back to."""
         last: Projection | None = self._last[1]
         if last is None or not last.exact:
@@ -207,7 +208,7 @@ class Lifted(ConvexSet):
         rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
         return bool(p @ way > distance * np.linalg.norm(p) + rounding)
 
-    def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
+    def _pair_of_one(self, v: Array) -> NormalPair | None:
         """That which another set knows: one that C is made of, or by Moreau the polar cone."""
         if self.polar_cone is None or not self.polar_cone.exact:
             return None
@@ -218,7 +219,7 @@ class Lifted(ConvexSet):
         p = self.polar_cone.project(p) if beside else 0 * p
         return NormalPair(p, w, 0.0, _rounded(v))
 
-    def _pair(self, v: np.ndarray) -> NormalPair | None:
+    def _pair(self, v: Array) -> NormalPair | None:
         """The projection of v and its normal, exact to rounding; None if they are not found.
 
         Without rows F a point of C, and what is left of v, where no projection is exact.
@@ -244,7 +245,7 @@ class Lifted(ConvexSet):
             p = clean
         return NormalPair(p, near.w.copy(), 0.0)
 
-    def _nearest(self, v: np.ndarray) -> NormalPair:
+    def _nearest(self, v: Array) -> NormalPair:
         """The projection of v and its normal, as exact as they are found."""
         if self._blocks is not None:
             return NormalPair(self._blocks.normal(v), self._blocks.project(v), 0.0)
@@ -254,7 +255,7 @@ class Lifted(ConvexSet):
             pair = NormalPair(p, v - p, 0.0)
         return pair
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         if self.certifiable and self._blocks is None:
             pair = self._pair_of_one(w)
             if pair is not None:
@@ -264,7 +265,7 @@ class Lifted(ConvexSet):
                 return near.w.copy()
         return self._nearest(w).w
 
-    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+    def project_rows(self, rows: Array) -> Array:
         """Rows are points of curves: each projection starts from the one before."""
         if self._blocks is not None:
             return self._blocks.project_rows(rows)
@@ -281,7 +282,7 @@ class Lifted(ConvexSet):
             points.append(near.w if near.exact else self.project(v))
         return np.array(points)
 
-    def supports_along(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def supports_along(self, p: Array, w: Array) -> Array:
         """Of C & D by projections: the program of sigma takes 17 ms for each direction.
 
         For w* = P_C(w + t p) the vector w + t p - w* is normal at w*, so that sigma(C, p) is at
@@ -299,13 +300,13 @@ class Lifted(ConvexSet):
         rounding = 10 * ROUNDING * AHEAD * size * lengths
         return np.asarray((p * far).sum(axis=2) + excess / t + rounding)
 
-    def normal(self, v: np.ndarray) -> np.ndarray:
+    def normal(self, v: Array) -> Array:
         return self._nearest(v).p
 
-    def weights(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: Array) -> Array:
         return super().weights(tau) if self._blocks is None else self._blocks.weights(tau)
 
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+    def derivative(self, v: Array) -> Array | None:
         if self._blocks is not None:
             return self._blocks.derivative(v)
         near = self.near(v) if self.certifiable else None
@@ -319,10 +320,10 @@ class Lifted(ConvexSet):
     def block(self) -> int:
         return self.dim if self._blocks is None else self._blocks.block
 
-    def blocks(self, v: np.ndarray) -> list[Blocks] | None:
+    def blocks(self, v: Array) -> list[Blocks] | None:
         return super().blocks(v) if self._blocks is None else self._blocks.blocks(v)
 
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+    def normal_pair(self, p: Array, w: Array, tau: Array) -> NormalPair | None:
         if self._blocks is not None:
             return self._blocks.normal_pair(p, w, tau)
         step = float(np.mean(tau))
@@ -373,7 +374,7 @@ class Lifted(ConvexSet):
         return support < -rounding * distance or (near.exact and support == math.inf)
 
 
-def _rounded(v: np.ndarray) -> Perturbation:
+def _rounded(v: Array) -> Perturbation:
     """A pair's perturbation where nothing is known but v, of which w and p are parts."""
     return Perturbation(*np.full((2, v.size), 10 * ROUNDING * np.abs(v).max()))
 
@@ -386,7 +387,7 @@ class Sum(Lifted):
         super().__init__(Form.added(first.form(), second.form()))
 
     @property
-    def anchor(self) -> np.ndarray:
+    def anchor(self) -> Array:
         return self.operands[0].anchor + self.operands[1].anchor
 
     def polar(self) -> ConvexSet:
@@ -394,9 +395,7 @@ class Sum(Lifted):
         return both
 
 
-def points_of_sum(
-    sets: Sequence[ConvexSet], sizes: np.ndarray, rows: np.ndarray
-) -> list[np.ndarray]:
+def points_of_sum(sets: Sequence[ConvexSet], sizes: Array, rows: Array) -> list[Array]:
     """Points s_i of each S_i, with sum_i r_i s_i the point of sum_i r_i S_i that is next to v.
 
     For each row r of the sizes, shape (n, k), and v of the rows, shape (n, dim); each projection
@@ -424,7 +423,7 @@ class Intersection(Lifted):
         self.operands = first, second
         super().__init__(Form.common(first.form(), second.form()))
 
-    def _pair_of_one(self, v: np.ndarray) -> NormalPair | None:
+    def _pair_of_one(self, v: Array) -> NormalPair | None:
         # where its point lies in the other set: exact from any v. Without it steps on a ball cut by
         # a box take 1.4 to 2.5 times as long
         if all(C.exact for C in self.operands):

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import dimension, instant, number, symmetric, takes, vector
+from sweepopt.checks import Array, dimension, instant, number, symmetric, takes, vector
 from sweepopt.errors import EmptySetError, InputError, result_of, shown
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, History, Separable, VectorTable
@@ -109,11 +109,11 @@ class MovingSet(Operators):
 
     support = project = contains
 
-    def at_many(self, times: np.ndarray) -> list[ConvexSet]:
+    def at_many(self, times: Array) -> list[ConvexSet]:
         """C(t) at each of the times; data are evaluated at all of them at once."""
         return [self.at(t) for t in times.tolist()]
 
-    def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+    def members(self, times: Array) -> list[tuple[float, ConvexSet]]:
         """Look at every C(t), and keep one of each run that differs in the offsets only.
 
         Also the first one that acts on other unknowns than those before: it tells that they change.
@@ -221,7 +221,7 @@ class Moving(MovingSet):
     def _picture(self) -> str:
         return self.shape._picture()
 
-    def center_at(self, t: float) -> np.ndarray:
+    def center_at(self, t: float) -> Array:
         """center(t), shape (dim,)."""
         t = instant("t", t)
         if self.center is None:
@@ -237,7 +237,7 @@ class Moving(MovingSet):
         name = f"scale(t) at t = {t:g}"
         return number(name, instant(name, result_of(self.scale, t, "scale(t)")), minimum=0.0)
 
-    def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+    def members(self, times: Array) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:
             return super().members(times)
         # translates of one set: their centres are all there is to look at
@@ -254,7 +254,7 @@ class Moving(MovingSet):
             return self._scaled(t)
         return _translate(self._scaled(t), self.center_at(t))
 
-    def at_many(self, times: np.ndarray) -> list[ConvexSet]:
+    def at_many(self, times: Array) -> list[ConvexSet]:
         if not isinstance(self.center, Separable):
             return super().at_many(times)
         return list(map(_translate, map(self._scaled, times.tolist()), self.center.at_many(times)))
@@ -263,7 +263,7 @@ class Moving(MovingSet):
         return self.shape if self.scale is None else self.scale_at(t) * self.shape
 
 
-def _translate(C: ConvexSet, v: np.ndarray) -> ConvexSet:
+def _translate(C: ConvexSet, v: Array) -> ConvexSet:
     return Point(C.anchor + v) if isinstance(C, Point) else Similar(C, v)
 
 
@@ -326,11 +326,11 @@ class StateDependent(MovingSet):
     (True, 0.317)
     """
 
-    _state: np.ndarray | None = None  # without it there is no set
+    _state: Array | None = None  # without it there is no set
 
     def __init__(
         self,
-        at: Callable[[float, np.ndarray], ConvexSet],
+        at: Callable[[float, Array], ConvexSet],
         lipschitz: Any,
         histories: Sequence[Callable[[float], Any]] = (),
     ) -> None:
@@ -340,7 +340,7 @@ class StateDependent(MovingSet):
             raise InputError("lipschitz must be positive semidefinite; it has an eigenvalue < 0")
         super().__init__(at, self.lipschitz.shape[0], histories)
 
-    def of(self, u: np.ndarray) -> StateDependent:
+    def of(self, u: Array) -> StateDependent:
         """The sets t -> C(t, u) of one state."""
         other = copy.copy(self)
         other._state = u

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import HUGE, Matrix, matrix, number, vector
+from sweepopt.checks import HUGE, Array, Matrix, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
@@ -151,8 +151,8 @@ def _linear(
     operation: Callable[..., Any],
     bases: list[Any],
     moves: list[tuple[int, Any, Any]],
-    measure: Callable[[Any], np.ndarray],
-) -> list[tuple[Any, np.ndarray]]:
+    measure: Callable[[Any], Array],
+) -> list[tuple[Any, Array]]:
     """What histories add to a measure of the result: (k, phi, S) puts S in place of bases[k]."""
     origin = measure(operation(*bases))
     each = [
@@ -209,7 +209,7 @@ def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
     return base, [(C.scale or Constant(), S), *moved]
 
 
-def _translations(C: Any) -> Sequence[tuple[Any, np.ndarray]] | None:
+def _translations(C: Any) -> Sequence[tuple[Any, Array]] | None:
     """The terms of the center of a Moving set, if that is data."""
     if type(C) is Moving and C.center is None:
         return ()

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
-from sweepopt.checks import matrix, number, vector
+from sweepopt.checks import Array, matrix, number, vector
 from sweepopt.display import brief
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import UNIT, dense, product_error, row_lengths
@@ -149,10 +149,10 @@ class Polyhedron(ConvexSet):
         part = Polyhedron(rows[left], h[left]).member(h[left])
         return Selection(few, part, shift if shift.any() else None)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         return float(self.support_rows(z[None])[0])
 
-    def support_rows(self, rows: np.ndarray) -> np.ndarray:
+    def support_rows(self, rows: Array) -> Array:
         values = np.where(rows.any(axis=1), np.inf, 0.0)
         if not values.any() or not self.h.size:
             return values
@@ -164,7 +164,7 @@ class Polyhedron(ConvexSet):
         values[finite] = rows[finite] @ inside + y[finite] @ slack
         return values
 
-    def multiplier_rows(self, rows: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    def multiplier_rows(self, rows: Array, slack: Array) -> Array:
         """y >= 0 with G^T y = z and the least <slack, y>, shape (k, m); inf where there is none.
 
         The slack h - G x >= 0 of a point x of the set is one for all rows z, shape (m,), or one for
@@ -196,7 +196,7 @@ class Polyhedron(ConvexSet):
             left = left[~serves]
         return multipliers
 
-    def _multipliers(self, p: np.ndarray, x: np.ndarray) -> np.ndarray | None:
+    def _multipliers(self, p: Array, x: Array) -> Array | None:
         """The y >= 0 with G^T y = p that minimises <h - G x, y>, x in C; None if there is none.
 
         The rows that hold x + t p back are those of the support function once t is large enough;
@@ -241,15 +241,15 @@ class Polyhedron(ConvexSet):
             )
         return size * weights * result.x
 
-    def normal(self, v: np.ndarray) -> np.ndarray:
+    def normal(self, v: Array) -> Array:
         exact = self._exact_normal(v, np.ones(self.dim))
         return normal_by_program(self, v) if exact is None else exact.u
 
     def _exact_normal(
         self,
-        v: np.ndarray,
-        tau: np.ndarray,
-        margin: np.ndarray | float = 0.0,
+        v: Array,
+        tau: Array,
+        margin: Array | float = 0.0,
         flat: Flat | None = None,
     ) -> Shortest | None:
         """u = (v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
@@ -265,10 +265,10 @@ class Polyhedron(ConvexSet):
         normal = shortest_on(flat, _columns(self.rows, root), slack, self._rounding(v))
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         return w - self.normal(w)
 
-    def project_rows(self, rows: np.ndarray, offsets: np.ndarray | None = None) -> np.ndarray:
+    def project_rows(self, rows: Array, offsets: Array | None = None) -> Array:
         """Projections with the h of this set, or with one for each row, shape (k, m).
 
         The rows of G that bind for one point do so for all points of a polyhedral cone.
@@ -298,13 +298,13 @@ class Polyhedron(ConvexSet):
             left = left[~serves]
         return points
 
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+    def derivative(self, v: Array) -> Array | None:
         normal = self._exact_normal(v, np.ones(self.dim))
         if normal is None:
             return None
         return np.eye(self.dim) - projector(dense(self.rows[normal.active]))
 
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+    def normal_pair(self, p: Array, w: Array, tau: Array) -> NormalPair | None:
         """On the face that v = w + tau p is nearest to: v gives the rows, p their multipliers."""
         root = np.sqrt(tau)
         # what is empty by no more than the rounding of its rows is not
@@ -331,7 +331,7 @@ class Polyhedron(ConvexSet):
         return self._exact_pair(p, w, tau, bare | ~flat.others, active)
 
     def _exact_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, rows: np.ndarray, active: np.ndarray
+        self, p: Array, w: Array, tau: Array, rows: Array, active: Array
     ) -> NormalPair | None:
         """The pair that the nearest point to w + tau p makes, without any rounding but of itself.
 
@@ -358,10 +358,10 @@ class Polyhedron(ConvexSet):
             rows |= near
         return None
 
-    def _rounding(self, w: np.ndarray) -> np.ndarray:
+    def _rounding(self, w: Array) -> Array:
         return ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(w))
 
-    def _flat(self, w: np.ndarray) -> Flat:
+    def _flat(self, w: Array) -> Flat:
         """Opposite rows are equations where, seen from w, rounding is all that is between them."""
         i, j, sign = self._parallel
         slack = (self.offsets - self.rows @ w) / self._lengths
@@ -373,7 +373,7 @@ class Polyhedron(ConvexSet):
         equations[i], widths[i] = True, np.abs(slack[i] + slack[j]) * self._lengths[i]
         return Flat(equations, widths, ~np.isin(self._lead, directions))
 
-    def _slack(self, w: np.ndarray) -> np.ndarray:
+    def _slack(self, w: Array) -> Array:
         """h - G w, rounded once for rows that are near w."""
         products = abs(self.rows) @ np.abs(w)
         slack = self.offsets - self.rows @ w
@@ -419,7 +419,7 @@ def _with_moving_offsets(G: Any, h: Any) -> MovingOffsets:
     return MovingOffsets(Polyhedron(G, np.zeros(G.shape[0])), h)
 
 
-def _columns(G: Any, units: np.ndarray) -> Any:
+def _columns(G: Any, units: Array) -> Any:
     """G with its columns in these units; dense rows stay out of sparse products."""
     return G @ sp.diags_array(units) if sp.issparse(G) else G * units
 
@@ -428,11 +428,11 @@ class Bounds(NamedTuple):
     """Rows i of a polyhedron that are bounds of single unknowns, factor w[j] <= h[i]."""
 
     dim: int
-    i: np.ndarray
-    j: np.ndarray
-    factor: np.ndarray
+    i: Array
+    j: Array
+    factor: Array
 
-    def ends(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def ends(self, h: Array) -> tuple[Array, Array]:
         """The bounds of w for an h, or for each of its rows; crossed if a zero row has no point."""
         lower, upper = np.full((2, *h.shape[:-1], self.dim), np.inf)
         lower, up, sides = -lower, self.factor > 0, h[..., self.i] / self.factor
@@ -441,7 +441,7 @@ class Bounds(NamedTuple):
         upper[(np.delete(h, self.i, axis=-1) < 0).any(axis=-1)] = -np.inf
         return lower, upper
 
-    def multipliers(self, rows: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    def multipliers(self, rows: Array, slack: Array) -> Array:
         """As `Polyhedron.multiplier_rows`: of the rows for one side those with the least slack."""
         y, side = np.zeros((len(rows), slack.shape[-1])), 2 * self.j + (self.factor > 0)
         slack = np.broadcast_to(slack, y.shape)[:, self.i] / np.abs(self.factor)
@@ -492,7 +492,7 @@ class HalfSpace(Polyhedron):
         """The h of its row."""
         return float(self.h[0])
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         row, length = self.rows[0], float(np.linalg.norm(self.rows[0]))
         factor = float(row @ (z / length)) / length
         # z must be a multiple of the row up to rounding

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from sweepopt.checks import matrix
+from sweepopt.checks import Array, matrix
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
@@ -32,8 +32,8 @@ COPLANAR = 1e-13  # points of size 1 that are nearer to a facet's plane lie on i
 class _Face(NamedTuple):
     """Vertices, and a mean of them."""
 
-    vertices: np.ndarray
-    point: np.ndarray
+    vertices: Array
+    point: Array
 
 
 class Polytope(ConvexSet):
@@ -66,14 +66,14 @@ class Polytope(ConvexSet):
         # the feature is the support function of the set in units of its size
         self.offsets = np.array([binary(np.abs(self.vertices).max())])
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         return float((self.vertices @ z).max())
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         face = self._memo(w, self._nearest_face)
         return w if face is None else face.point.copy()
 
-    def _nearest_face(self, w: np.ndarray) -> _Face | None:
+    def _nearest_face(self, w: Array) -> _Face | None:
         """The vertices whose hull is the face nearest to w, and the nearest point; None inside.
 
         Of all y >= 0 those that minimise |sum_i y_i (v_i - w) / unit|^2 + (sum_i y_i - 1)^2 are
@@ -117,7 +117,7 @@ class Polytope(ConvexSet):
             before, active, shares = active, np.append(active, new), np.append(shares, 0.0)
         return _Face(V[active], point)
 
-    def derivative(self, v: np.ndarray) -> np.ndarray:
+    def derivative(self, v: Array) -> Array:
         face = self._memo(v, self._nearest_face)
         if face is None:
             return np.eye(self.dim)
@@ -144,13 +144,13 @@ class Polytope(ConvexSet):
 class _InSpan(NamedTuple):
     """Points of an affine space by `points = span (w - centre)`, E w = E centre; none is far."""
 
-    points: np.ndarray
-    span: np.ndarray
-    centre: np.ndarray
-    E: np.ndarray
+    points: Array
+    span: Array
+    centre: Array
+    E: Array
 
 
-def _in_span(points: np.ndarray) -> _InSpan:
+def _in_span(points: Array) -> _InSpan:
     """Points in the units of their extents, so that a thin hull is as well known as a round one."""
     centre = points.mean(axis=0)
     _, extents, axes = np.linalg.svd(np.linalg.qr(points - centre, mode="r"))
@@ -161,7 +161,7 @@ def _in_span(points: np.ndarray) -> _InSpan:
     return _InSpan((points - centre) @ span.T, span, centre, axes[flat:])
 
 
-def hull_vertices(points: np.ndarray) -> np.ndarray:
+def hull_vertices(points: Array) -> Array:
     """The points that their hull needs."""
     inside = _in_span(points).points
     if inside.shape[1] < 2:
@@ -169,7 +169,7 @@ def hull_vertices(points: np.ndarray) -> np.ndarray:
     return points[convex_hull(inside).vertices]
 
 
-def convex_hull(points: np.ndarray) -> ConvexHull:
+def convex_hull(points: Array) -> ConvexHull:
     """Qhull's, of points that are not flat."""
     try:
         return ConvexHull(points)
@@ -177,7 +177,7 @@ def convex_hull(points: np.ndarray) -> ConvexHull:
         raise NoHalfspacesError("a hull whose facets are not found") from error
 
 
-def _facets(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _facets(points: Array) -> tuple[Array, Array]:
     """N and d of the hull of points that is not flat, each facet once, from all of its points."""
     dim = points.shape[1]
     N = np.vstack([np.eye(dim), -np.eye(dim)])  # in no or one dimension

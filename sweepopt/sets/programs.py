@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
-from sweepopt.checks import vector
+from sweepopt.checks import Array, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, result_of, shown
 from sweepopt.sets.base import ConvexSet, binary
 
@@ -96,7 +96,7 @@ def check_features(C: ConvexSet) -> None:
 
 
 @in_turn
-def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
+def support_by_program(C: ConvexSet, z: Array) -> float:
     """sigma(C, z) from its features, for sets without a closed form; infeasible means +inf."""
     import cvxpy as cp
 
@@ -116,7 +116,7 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
 
 
 @in_turn
-def normal_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
+def normal_by_program(C: ConvexSet, w: Array) -> Array:
     """w - P_C(w).
 
     A solver's gap leaves an error of its square root, relative to the unit of length. So the
@@ -130,7 +130,7 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
     sigma = C.offsets @ cp.hstack(features) if features else 0
     size = binary(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0)))
 
-    def solve(unit: float) -> np.ndarray:
+    def solve(unit: float) -> Array:
         objective = 0.5 * cp.sum_squares(p) + (sigma - w @ p) / unit
         problem = cp.Problem(cp.Minimize(objective), constraints)
         solve_tightly(problem)

@@ -23,6 +23,7 @@ import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from sweepopt.checks import Array
 from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, places
 from sweepopt.sets.shapes import Box
@@ -38,7 +39,7 @@ SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as 
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 LIGHT = 1e-6  # weight of what should move little (w, p) beside what may (s, n)
 
-Map = Callable[[np.ndarray], np.ndarray]
+Map = Callable[[Array], Array]
 
 
 class Projection(NamedTuple):
@@ -47,10 +48,10 @@ class Projection(NamedTuple):
     `exact` says whether it is that to rounding of the data.
     """
 
-    v: np.ndarray
-    w: np.ndarray
-    s: np.ndarray
-    image: np.ndarray
+    v: Array
+    w: Array
+    s: Array
+    image: Array
     exact: bool
     splitting: Splitting
 
@@ -63,10 +64,10 @@ class Projection(NamedTuple):
 class Start(NamedTuple):
     """Points s of the parts and their normals n."""
 
-    s: np.ndarray
-    n: np.ndarray
+    s: Array
+    n: Array
 
-    def scaled(self, units: np.ndarray) -> Start:
+    def scaled(self, units: Array) -> Start:
         """In these units of s."""
         return Start(units * self.s, self.n / units)
 
@@ -86,7 +87,7 @@ class Projector:
         units = np.array([binary(size) for size in np.sqrt(weights).tolist()])
         self.splitting = lru_cache(16)(lambda unit: Splitting(form, unit * units))
 
-    def __call__(self, v: np.ndarray, start: Start | None = None) -> Projection:
+    def __call__(self, v: Array, start: Start | None = None) -> Projection:
         """The projection of v, as exactly as it is found; without a start from where v pulls 0."""
         plain = self.splitting(1.0)
         if start is None:
@@ -98,7 +99,7 @@ class Projector:
                 break
         return near
 
-    def _from(self, v: np.ndarray, start: Start) -> Projection:
+    def _from(self, v: Array, start: Start) -> Projection:
         """From a start, in units in which its points are as large as its normals.
 
         Where normals have become large on the way, the units for them are known only then.
@@ -118,11 +119,11 @@ class InMetric:
     With M = L L^T it is L w, w the point of L^-1 C nearest to L^-1 q.
     """
 
-    def __init__(self, C: ConvexSet, M: np.ndarray) -> None:
+    def __init__(self, C: ConvexSet, M: Array) -> None:
         form, self._inverse = C.form(), np.linalg.inv(np.linalg.cholesky(M))
         self._projector = Projector(form._replace(E=self._inverse @ dense(form.E)))
 
-    def __call__(self, q: np.ndarray, start: Start | None) -> tuple[np.ndarray, Start]:
+    def __call__(self, q: Array, start: Start | None) -> tuple[Array, Start]:
         """About z, the points of the parts, and the normals that add up to -z."""
         v = self._inverse @ q
         near = self._projector(v, start)
@@ -132,7 +133,7 @@ class InMetric:
 class Splitting:
     """The two maps of a lifted set, in units of s: one a part, which keeps its own metric."""
 
-    def __init__(self, form: Form, units: np.ndarray) -> None:
+    def __init__(self, form: Form, units: Array) -> None:
         self.small, self.units = form.small, units
         self.smooth = form.small and all(part.differentiable for part in form.parts)
         self.parts = [
@@ -150,18 +151,18 @@ class Splitting:
             system = [[inner, self.F.T], [self.F, None]]
             self._factor = splu(sp.csc_array(sp.block_array(system)))
 
-    def K(self, x: np.ndarray) -> np.ndarray:
+    def K(self, x: Array) -> Array:
         """argmin of 1/2 |E s|^2 + 1/2 |s|^2 - <x, s> under F s = 0."""
         if self.small:
             return np.asarray(self._K @ x)
         return self._factor.solve(np.append(x, np.zeros(self.F.shape[0])))[: x.size]
 
-    def projected(self, x: np.ndarray) -> np.ndarray:
+    def projected(self, x: Array) -> Array:
         """P_S(x)."""
         each = [unit * part.project(x[at] / unit) for part, at, unit in self.parts]
         return np.concatenate(each)
 
-    def rounding_scale(self, x: np.ndarray) -> np.ndarray:
+    def rounding_scale(self, x: Array) -> Array:
         """The size of what projections round, entry by entry: a box rounds nothing."""
         scale = np.zeros(x.size)
         for part, at, unit in self.parts:
@@ -169,7 +170,7 @@ class Splitting:
                 scale[at] = unit * np.abs(np.append(x[at] / unit, part.offsets)).max()
         return scale
 
-    def derivative_of_parts(self, x: np.ndarray) -> np.ndarray | None:
+    def derivative_of_parts(self, x: Array) -> Array | None:
         """Of the projection on the parts; None for large sets, and where a part has none."""
         if not self.smooth:
             return None
@@ -181,15 +182,15 @@ class Splitting:
             D[at, at] = np.diag(own) if own.ndim == 1 else own
         return D
 
-    def projection(self, v: np.ndarray, x: np.ndarray, size: float) -> Projection:
+    def projection(self, v: Array, x: Array, size: float) -> Projection:
         """From x = s - n, n the normal; `size` is that of what is rounded in s and n."""
         center = self.K(self.E.T @ v)
 
-        def near(x: np.ndarray) -> np.ndarray:
+        def near(x: Array) -> Array:
             """argmin of 1/2 |E s - v|^2 + 1/2 |s - x|^2 under F s = 0."""
             return center + self.K(x)
 
-        def residual(x: np.ndarray) -> np.ndarray:
+        def residual(x: Array) -> Array:
             s = near(x)
             return self.projected(2 * s - x) - s
 
@@ -206,7 +207,7 @@ class Splitting:
         exact = exact and bool((off <= 10 * ROUNDING * limits).all())
         return Projection(v, self._point(v, on_parts, size), on_parts, image, exact, self)
 
-    def _newton(self, residual: Map, near: Map, x: np.ndarray, size: float) -> FixedPoint:
+    def _newton(self, residual: Map, near: Map, x: Array, size: float) -> FixedPoint:
         """Whole Newton steps on residual(x) = 0.
 
         A multiple of 1 that goes to 0 with the residual makes the Jacobian regular where many x
@@ -228,7 +229,7 @@ class Splitting:
             r = residual(x)
         return FixedPoint(x, False)
 
-    def proximal_points(self, v: np.ndarray, start: Start) -> Iterator[Start]:
+    def proximal_points(self, v: Array, start: Start) -> Iterator[Start]:
         """Points s of the parts and their normals, nearer and nearer to those of the projection.
 
         The next s minimises 1/2 |E s - v|^2 + 1/2c |s - s_0|^2 on S under F s = 0. It is the point
@@ -250,9 +251,7 @@ class Splitting:
             yield Start(s, A.T @ y).scaled(1 / self.units)
             c *= GROWTH if solved else GROWTH**-2
 
-    def _dual_point(
-        self, A: np.ndarray, goal: np.ndarray, center: np.ndarray, c: float, y: np.ndarray
-    ) -> FixedPoint:
+    def _dual_point(self, A: Array, goal: Array, center: Array, c: float, y: Array) -> FixedPoint:
         """Newton steps from y = (p, lam) on the dual program of a proximal point of center,
 
             min 1/2 |p|^2 - <goal, y> + max over s in S of <A^T y, s> - 1/2c |s - center|^2,
@@ -261,7 +260,7 @@ class Splitting:
         """
         one = (np.arange(y.size) < len(self.E)).astype(float)
 
-        def gradient(y: np.ndarray) -> np.ndarray:
+        def gradient(y: Array) -> Array:
             return one * y - goal + A @ self.projected(center + c * (A.T @ y))
 
         for _ in range(NEWTON_STEPS):
@@ -279,11 +278,11 @@ class Splitting:
             y = y + _step_length(gradient, y, step, float(g @ step)) * step
         return FixedPoint(y, False)
 
-    def _jacobian(self, D: np.ndarray) -> np.ndarray:
+    def _jacobian(self, D: Array) -> Array:
         """Of -residual."""
         return self._K - D @ (2 * self._K - np.eye(len(D)))
 
-    def _point(self, v: np.ndarray, s: np.ndarray, size: float) -> np.ndarray:
+    def _point(self, v: Array, s: Array, size: float) -> Array:
         """E s, or v itself where that is the same to rounding: v is in C.
 
         All parts are known to rounding of the largest one, which rows of F hand on.
@@ -291,7 +290,7 @@ class Splitting:
         w, rounding = self.E @ s, ROUNDING * size * abs(self.E).sum(axis=1)
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
-    def normal(self, near: Projection) -> np.ndarray:
+    def normal(self, near: Projection) -> Array:
         """v - w, changed by what rounding of v keeps it from being one to the parts' normals."""
         p = near.v - near.w
         if not self.small or not p.any():  # 0 is normal everywhere
@@ -310,7 +309,7 @@ class Splitting:
         held = self.F.T @ _shortest(self.F.T, pull - (near.image - near.s))
         return bool(np.linalg.norm(held) > times * np.linalg.norm(pull))
 
-    def perturbation(self, near: Projection, p: np.ndarray) -> Perturbation | None:
+    def perturbation(self, near: Projection, p: Array) -> Perturbation | None:
         """How far w and p are from a pair, to first order; None where parts have no derivative.
 
         A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
@@ -345,7 +344,7 @@ class Splitting:
         shifts = np.abs(back[:, 0]) + np.linalg.norm(back[:, 1:], axis=1)
         return Perturbation(shifts[:k], shifts[k:])
 
-    def derivative(self, near: Projection) -> np.ndarray | None:
+    def derivative(self, near: Projection) -> Array | None:
         """dw/dv."""
         D = self.derivative_of_parts(near.image)
         if D is None:
@@ -355,7 +354,7 @@ class Splitting:
         return np.asarray(self.E @ (self._K @ dx + pull))
 
 
-def _step_length(gradient: Map, y: np.ndarray, step: np.ndarray, slope: float) -> float:
+def _step_length(gradient: Map, y: Array, step: Array, slope: float) -> float:
     """Where at most half of the slope along a step is left, between bounds that close in."""
     length, low, high = 1.0, 0.0, np.inf
     while ROUNDING < length < 1 / ROUNDING:
@@ -368,7 +367,7 @@ def _step_length(gradient: Map, y: np.ndarray, step: np.ndarray, slope: float) -
 
 
 @lru_cache(16)  # sets that are stated anew at every time have the same matrices
-def _inverse(rows: bytes, m: int, n: int) -> np.ndarray:
+def _inverse(rows: bytes, m: int, n: int) -> Array:
     """K of the rows of E and F, F having m of n entries."""
     E, F = np.split(np.frombuffer(rows).reshape(-1, n), [-m or len(rows)])
     Z = scipy.linalg.null_space(F, RANK)
@@ -376,7 +375,7 @@ def _inverse(rows: bytes, m: int, n: int) -> np.ndarray:
     return np.asarray(Z @ np.linalg.solve(np.eye(Z.shape[1]) + image.T @ image, Z.T))
 
 
-def _shortest(M: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _shortest(M: Array, right: Array) -> Array:
     """The shortest least-squares solution."""
     return np.asarray(
         scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy", check_finite=False)[0]
@@ -386,18 +385,18 @@ def _shortest(M: np.ndarray, right: np.ndarray) -> np.ndarray:
 class FixedPoint(NamedTuple):
     """Where an iteration ended, and whether that is its limit to rounding."""
 
-    x: np.ndarray
+    x: Array
     fixed: bool
 
 
-def fixed_point(step: Map, x: np.ndarray, size: float) -> FixedPoint:
+def fixed_point(step: Map, x: Array, size: float) -> FixedPoint:
     """x = step(x) for a nonexpansive step, `size` that of its data.
 
     Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
     iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
     """
-    images: deque[np.ndarray] = deque(maxlen=LOOK_BACK + 1)
-    residuals: deque[np.ndarray] = deque(maxlen=LOOK_BACK + 1)
+    images: deque[Array] = deque(maxlen=LOOK_BACK + 1)
+    residuals: deque[Array] = deque(maxlen=LOOK_BACK + 1)
     size = max(size, float(np.abs(x).max()))
     for _ in range(SWEEPS):
         image = step(x)

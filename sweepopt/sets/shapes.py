@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import dimension, entries, vector
+from sweepopt.checks import Array, dimension, entries, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import (
     DENSE,
@@ -66,7 +66,7 @@ class Box(ConvexSet):
         self._low, self._up = np.isfinite(self.lower), np.isfinite(self.upper)
         self.offsets = np.concatenate([self.upper[self._up], -self.lower[self._low]])
 
-    def with_offsets(self, h: np.ndarray) -> Box:
+    def with_offsets(self, h: Array) -> Box:
         """The box with other finite bounds, in the order of `offsets`."""
         lower, upper = self.lower.copy(), self.upper.copy()
         upper[self._up], negative = np.split(h, [self._up.sum()])
@@ -82,25 +82,25 @@ class Box(ConvexSet):
         part = Box(self.lower[few], self.upper[few])
         return Selection(few, part, shift if shift.any() else None)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z: Array) -> float:
         moving = z != 0
         side = np.where(z > 0, self.upper, self.lower)
         return float(side[moving] @ z[moving])
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w: Array) -> Array:
         return np.minimum(np.maximum(w, self.lower), self.upper)
 
-    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+    def project_rows(self, rows: Array) -> Array:
         return np.minimum(np.maximum(rows, self.lower), self.upper)
 
-    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
+    def gap(self, p: Array, w: Array) -> float:
         return float(self._gaps(p[None], w[None])[0, 0])
 
-    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
+    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
         gaps = (self._gaps(p, w) * products(2, w.shape[1] - 1)).sum(axis=(1, 2))
         return CurveGaps(gaps, np.zeros_like(gaps))
 
-    def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def _gaps(self, p: Array, w: Array) -> Array:
         # entry by entry: what cancels cancels to 0.0
         still = p == 0
         side = np.where(still, 0.0, np.where(p > 0, self.upper, self.lower))[..., :, None, :]
@@ -110,10 +110,10 @@ class Box(ConvexSet):
     def features(self, p: cp.Expression) -> Features:
         return rows_features(self._matrix, p)
 
-    def weights(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: Array) -> Array:
         return tau
 
-    def derivative(self, v: np.ndarray) -> np.ndarray:
+    def derivative(self, v: Array) -> Array:
         free = (v >= self.lower) & (v <= self.upper) & (self.lower < self.upper)
         return free.astype(float)
 
@@ -174,7 +174,7 @@ class Point(Box):
         self.dim = self.offsets.size
         self._low = self._up = np.ones(self.dim, bool)
 
-    def with_offsets(self, h: np.ndarray) -> Point:
+    def with_offsets(self, h: Array) -> Point:
         return Point(h)
 
     def features(self, p: cp.Expression) -> Features:
@@ -184,7 +184,7 @@ class Point(Box):
         return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), np.eye(self.dim), self.offsets)
 
     @property
-    def anchor(self) -> np.ndarray:
+    def anchor(self) -> Array:
         return self.offsets
 
 
