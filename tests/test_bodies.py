@@ -35,7 +35,7 @@ from sweepopt.fem import (
     read_mesh,
     read_scene,
 )
-from sweepopt.fem.contact import slip_of
+from sweepopt.fem.contact import Rows, Yield, slip_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:B u0 is not in C")  # loads that start at once
 
@@ -243,6 +243,22 @@ def test_friction_bounds_with_histories_have_a_guaranteed_error_bound(shared):
         bound = sol.error_bound()
         assert bound.guaranteed
         assert 0.98 * error <= bound <= 4 * error
+
+
+@dataclass(frozen=True)
+class Rubs:
+    """Friction of one's own whose bound is a sum of two terms, one of which may be negative."""
+
+    def contribute(self, body):
+        rows = Rows(sp.eye_array(body.dim, format="csr")[:4], 1, np.ones(4), "trace")
+        terms = [(so.Constant(), np.ones(4)), (so.Sine(1.0, 2.0), np.full(4, -0.5))]
+        return Contribution(yields=[Yield(rows, so.Separable(terms))])
+
+
+def test_a_bound_of_two_terms_is_no_sum_of_two_frictions():
+    scene = antiplane(square(4), clamped="top", effects=[Viscosity(1.0), Rubs()])
+    assert scene.problem.C.summands is None
+    assert scene.solve(t_end=1.0, steps=4).success
 
 
 def test_frictions_add_and_a_node_that_two_share_counts_once():

@@ -12,7 +12,7 @@ from cases import GRIDS, SETS, block, case, random_process, slope, slow
 
 import sweepopt as so
 from sweepopt.integrate import Velocities
-from sweepopt.problem import Norms
+from sweepopt.problem import Norms, motion
 from sweepopt.results.error_bound import _more, _refined, companion
 from sweepopt.study.problems import PROBLEMS
 
@@ -472,6 +472,28 @@ def test_what_is_made_of_curved_sets_with_scales_of_their_own_has_a_guaranteed_b
         bound, error = sol.error_bound(), sizes(process, sol(fine.t) - fine.u).max()
         assert bound.guaranteed
         assert 0.97 * error <= bound <= (2.5 if A else 4.5) * error
+
+
+def test_a_scale_of_0_at_a_node_does_not_make_the_bound_of_a_sum_loose():
+    load = so.Separable([(so.Sine(2.0, 2.0), [1.0, 0.5])])
+    bounds = []
+    for end in (0.0, 1e-3):
+        closes = so.Moving(COMPOSED["an ellipse"], scale=so.Table([0.0, 1.0], [1.0, end]))
+        C = so.Moving(so.Ball([0.0, 0.0], 0.5), load, so.Sine(0.2, 1.0, offset=1.0)) + closes
+        sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=20)
+        bounds.append(sol.error_bound())
+    assert all(bound.guaranteed for bound in bounds)
+    assert bounds[0] <= 1.2 * bounds[1]
+
+
+def test_factors_of_a_product_are_projected_on_one_by_one():
+    one = so.Moving(so.Box(-1, 1), scale=so.Sine(0.3, 1.0, offset=1.0))
+    two = so.Moving(so.Ball([0.0, 0.0], 1.0), scale=so.Table([0.0, 1.0], [1.0, 0.5]))
+    for C in (so.product(one, two), so.product(one, so.Ball([0.0, 0.0], 1.0), two)):
+        assert motion(C).disjoint
+    assert not motion(
+        so.Moving(so.Ball([0.0, 0.0], 1.0), scale=so.Sine(0.3, 1.0, offset=1.0)) + two
+    ).disjoint
 
 
 def test_points_of_programs_are_in_a_set_that_jumps_at_their_node():

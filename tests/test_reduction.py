@@ -221,3 +221,13 @@ def test_a_body_that_sticks_under_no_load_is_certified():
     assert (few.velocity[-5:] == 0.0).all()
     assert few.u[-1, CONTACT].any()
     assert difference(this, few.u, general.u) <= 1e-12
+
+
+def test_a_scale_of_several_terms_is_all_of_them():
+    A = 2 * np.eye(8) - 0.5 * np.eye(8, k=1) - 0.5 * np.eye(8, k=-1)
+    scale = so.Separable([(so.Constant(), [1.5]), (so.Sine(1.0, 1.0), [1.0])])
+    on_one = so.image(np.eye(8)[:, :1], so.Box(-1.0, 1.0))
+    C = so.Moving(on_one, so.Separable([(so.Sine(8.0, 1.0), np.ones(8))]), scale)
+    process = so.SweepingProcess(A, 1.5 * A, C, np.zeros(8))
+    runs = [so.solve(process, t_end=1.0, steps=50, path=path) for path in ("proportional", "full")]
+    np.testing.assert_allclose(runs[0].u, runs[1].u, atol=1e-6)

@@ -858,3 +858,13 @@ def test_what_bounds_the_support_of_an_intersection_is_near_and_not_below_its_pr
         excess = (bounds - [C.support(x) for x in p[0]]) / np.linalg.norm(p[0], axis=1)
         assert excess.min() > -1e-8  # as the cone programs are solved
         assert excess.max() < 1e-3
+
+
+def test_a_projection_of_0_that_starts_from_0_comes_to_parts_away_from_0():
+    # a ZeroDivisionError: nothing told the size of the numbers
+    from sweepopt.sets.projection import Projector, Start
+
+    form = (so.Box([0.5, -1.0], [2.0, 1.0]) & so.Ball([1.0, 0.0], 0.7)).form()
+    zero = np.zeros(form.E.shape[1])
+    near = Projector(form)(np.zeros(2), Start(zero, zero))
+    np.testing.assert_allclose(near.w, [0.5, 0.0], atol=1e-12)

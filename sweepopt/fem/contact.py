@@ -138,14 +138,14 @@ def by_history(
 ) -> tuple[list[Yield], list[tuple[Any, list[Yield]]]] | None:
     """Those whose bounds rest, and for each history those that it multiplies.
 
-    None where a bound is a function of time.
+    None where a bound moves in another way.
     """
     still: list[Yield] = []
     moving: dict[int, tuple[Any, list[Yield]]] = {}
     for one in yields:
-        if isinstance(one.g, Separable):
-            for phi, g in one.g.terms:
-                moving.setdefault(id(phi), (phi, []))[1].append(replace(one, g=g))
+        if isinstance(one.g, Separable) and len(one.g.terms) == 1:
+            ((phi, g),) = one.g.terms
+            moving.setdefault(id(phi), (phi, []))[1].append(replace(one, g=g))
         elif callable(one.g):
             return None
         else:

@@ -159,7 +159,7 @@ class Motion:
         return self.summands[0][0] if len(self.summands) == 1 else ONE
 
     @property
-    def apart(self) -> bool:
+    def disjoint(self) -> bool:
         """Whether no unknown belongs to two summands."""
         chosen = [S.selection for _, S in self.summands]
         if len(chosen) < 2:

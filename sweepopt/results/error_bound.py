@@ -79,7 +79,7 @@ FADES = 10
 """If mu lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds with
 implicit Euler were 1.1 times those with sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5
 and 9 times at 0.002."""
-WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 5, 2.3)}
+WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 5, 2.4)}
 """Steps that all second runs together may take, by their scheme, for each program of the run: for
 up to SMALL unknowns and exact projections; for other bodies; and where the run eliminates most of
 the unknowns of a large one. A step of the second run is dearer from case to case, beside those of
@@ -173,7 +173,7 @@ def error_bound(
         # of unbounded sets all, as velocities of a cubic may have no support function
         chosen = [best] if one_curve and largest < math.inf else CURVES
         curves = slopes_of_curves(nodes, slopes, chosen)
-        each, reason = residuals(process, norms, nodes, curves, variation, members)
+        each, reason = residuals(process, norms, nodes, curves, variation, slopes[1:], members)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = curves[growth.curve, np.arange(len(t) - 1)]
@@ -202,17 +202,18 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
     moving = motion(process.C)
     sets = [S for _, S in moving.summands]
     is_data = all(scale.function is None for scale, _ in moving.summands)
-    if plan.cones and not (len(sets) == 1 and is_data):
+    if plan.cones and not (sets and is_data and moving.disjoint):
         raise PathError(
-            "error_bound needs projections where C(t) is a function, which take seconds each for "
-            "path='cones': give C(t) as data, such as so.Separable, or take path='full'"
+            "error_bound needs projections that take seconds each for path='cones', where C(t) is "
+            "a function, or a sum on the same unknowns: give it as data, such as so.Separable, "
+            "or take path='full'"
         )
     large = plan.contact is not None and process.dim > LARGE
     sharp = all(S.sharp_gaps for S in sets)
-    exact = moving.apart and all(S.exact for S in sets)
+    exact = moving.disjoint and all(S.exact for S in sets)
     by_points = len(sets) == 1 and is_data and not exact and plan.reduction is None
     cheap = exact and sharp and not plan.cones and process.dim <= SMALL
-    return 2 if large else not cheap, large or plan.cones or not sharp, by_points
+    return 2 if large else 0 if cheap else 1, large or plan.cones or not sharp, by_points
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:

@@ -71,6 +71,7 @@ VARIES = 8
 """int |r'| is computed on steps with a larger mu Lam only. On others it does not make the bound of
 |e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >= sqrt(S)
 the step adds at least sqrt(8 / (mu Lam)) times as much to the bound as with int |r|^2 / 2."""
+CLOSED = 1e-9  # of its largest: a scale counts as that, so that a closed set has a point too
 SAME = 1e-12  # relative to the largest force: points nearer than that are projected as one
 CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
 
@@ -130,6 +131,7 @@ def residuals(
     nodes: Nodes,
     curves: Array,
     variation: Callable[[float], float] | None,
+    speed: Array,
     members: Array | None = None,
 ) -> tuple[Residuals, str]:
     """The residuals of curves through the nodes, and why they are no bounds; "" if they are.
@@ -140,13 +142,15 @@ def residuals(
         Bernstein coefficients of v' of each curve.
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
+    speed : ndarray, shape (n, dim)
+        Velocities at all nodes but the first.
     members : ndarray, shape (n, dim), optional
-        Points of C(t), a Moving set, at all nodes but the first.
+        Points of C(t), a Moving set, at these.
     """
     data, points = motion(process.C), None
     reason = _unknown(data)
-    if not data.apart:
-        speed, forces = curves[0, :, 2], applied(process.A, curves[0, :, 2])
+    if not data.disjoint:
+        forces = applied(process.A, speed)
         if process.B is not None:
             forces += applied(process.B, nodes.u[1:])
         points = _points_of_several(data, nodes.t[1:], forces, speed)
@@ -164,16 +168,14 @@ def residuals(
         return _bounds(process, norms, nodes, curves, _on_steps(process, nodes)), reason
 
 
-def _points_of_several(
-    data: Motion, times: Array, forces: Array, speed: Array
-) -> list[Array] | None:
-    """Points of each S at times at which forces are in C(t), normal to -speed; None at a scale 0.
+def _points_of_several(data: Motion, times: Array, forces: Array, speed: Array) -> list[Array]:
+    """Points of each S at times at which forces are in C(t), normal to -speed.
 
-    That of a point outside of C(t) is determined by more than rounding.
+    They are those that C(t) has at forces - c speed: next to these the points of its boundary are
+    known to rounding, which the projection of a point of the boundary itself is not.
     """
     sizes = np.column_stack([scale.at(times)[:, 0] for scale, _ in data.summands])
-    if not sizes.all():
-        return None
+    sizes = np.maximum(sizes, CLOSED * sizes.max(axis=0))
     forces = forces - data.center.at(times)
     fastest = np.linalg.norm(speed, axis=1).max(initial=0.0) or 1.0
     outside = forces - np.linalg.norm(forces, axis=1).max() / fastest * speed
@@ -183,20 +185,23 @@ def _points_of_several(
 def _unknown(data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
     if not data.summands:
-        return "C(t) is a function of time: write it as a Moving set, or give variation="
+        return (
+            "C(t) is a function of time, or an intersection of curved sets that move apart: write "
+            "it as a Moving set, or give variation="
+        )
     parts = [(data.name, data.offsets or data.center)]
     for scale, S in data.summands:
         parts.append(("scale", scale))
         if not S.certifiable:
             return f"nothing is proved of {type(S).__name__}"
+        if data.offsets is not None and not S.exact:
+            return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
     for name, f in parts:
         if not f.bounded:
             return (
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
                 "so.Table, or give variation="
             )
-    if data.offsets is not None and not S.exact:
-        return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
     return ""
 
 

@@ -398,12 +398,10 @@ class Solution(Displayed):
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
-        It takes runs of sdirk2, or of implicit Euler where mu lam > 10, on grids that are refined
-        where switches are, with at most 16 and 11 times the programs of this run: 0.65 of them
-        where C(t) is curved or no box, ball or polyhedron, 0.3 or 0.4 where most of more than
-        1,000 unknowns are eliminated. A C(t) that is no data takes one such run. Steps that were
-        not kept are computed again. Where C(t) is bounded data it is never more than what the
-        energy allows u and u_n to be apart (MATH 4).
+        It takes up to ten times as long as the run: other runs beside it, on grids that are refined
+        where bodies start and stop. A C(t) that is no data takes one such run. Steps that were not
+        kept are computed again. Where C(t) is bounded data it is never more than what the energy
+        allows u and u_n to be apart (MATH 4).
 
         Parameters
         ----------

@@ -74,7 +74,7 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
             fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
             points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
             made = MovingSet(partial(_operation_at, on_all, fixed), operation(*points).dim)
-            made.summands = summands
+        made.summands = summands
         made.operands = tuple(C for C in operands if isinstance(C, MovingSet))
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
 
@@ -210,11 +210,12 @@ def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
 
 
 def _translations(C: Any) -> Sequence[tuple[Any, Array]] | None:
-    """The terms of the center of a Moving set, if that is data."""
-    if type(C) is Moving and C.center is None:
+    """The terms of the center of a Moving set, if that is data and its scale one history."""
+    if type(C) is not Moving or isinstance(C.scale, Separable):
+        return None
+    if C.center is None:
         return ()
-    by_data = type(C) is Moving and isinstance(C.center, Separable)
-    return C.center.terms if by_data else None
+    return C.center.terms if isinstance(C.center, Separable) else None
 
 
 @partial(over_time, linear=True)

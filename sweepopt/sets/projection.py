@@ -108,6 +108,8 @@ class Projector:
         s, n = start.scaled(plain.units)
         size_s = float(max(np.abs(s).max(), plain.rounding_scale(s).max()))
         size_n = max(float(np.abs(n).max()), float(abs(plain.E).max() * np.abs(v).max()))
+        if not size_s + size_n:  # 0, and from 0, which may be far from the parts
+            size_s = float(np.abs(plain.projected(s)).max())
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
         size = max(unit * size_s, size_n / unit)
         return self.splitting(unit).projection(v, unit * s - n / unit, size)

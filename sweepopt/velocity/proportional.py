@@ -178,9 +178,10 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     t : float
         When the first step asks for the load.
     """
-    moving = motion(process.C)
-    scale = None if moving.scale is ONE else moving.scale.histories[0]
+    moving, scale = motion(process.C), getattr(process.C, "scale", None)
     shape = moving.shape if moving.offsets is None else None
+    if scale is None and moving.scale is not ONE:  # no Moving set: its scale may have no value
+        shape = None
     selection = shape.selection if shape is not None else None
     rho = proportion(process.A, process.B) if process.coercive else None
     lacks = {

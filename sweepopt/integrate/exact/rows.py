@@ -173,8 +173,9 @@ def _halfspaces(moving: Motion) -> tuple[Array, Terms, int]:
     """N and d of C(t) = { w : N w <= d(t) }, and how many of the last rows are equations."""
     if moving.shape is None:
         raise InputError(
-            "the process has a set that is a function of time; write it as so.Moving(shape, "
-            "center=so.Separable(...)) or so.Polyhedron(G, so.Separable(...))"
+            "the process has a set that is a function of time, or a sum with several scales; "
+            "write it as so.Moving(shape, center=so.Separable(...)) or so.Polyhedron(G, "
+            "so.Separable(...))"
         )
     load = moving.center if moving.offsets is None else moving.offsets
     terms, scale = _closed_forms(load, moving.name), _closed_forms(moving.scale, "scale")
