@@ -162,7 +162,7 @@ def test_a_bound_that_would_take_slow_projections_is_refused():
     C = so.Moving(vi.dissipation, center=vi.load(0.0), scale=lambda t: 1 + 2 * t)
     process = so.SweepingProcess(vi.A, None, C, vi.u0)
     sol = so.solve(process, t_end=1.0, steps=4, scheme="implicit-euler", path="cones")
-    with pytest.raises(PathError, match=r"give C\(t\) as data"):
+    with pytest.raises(PathError, match=r"C\(t\) is a function.*give it as data"):
         sol.error_bound()
 
 
