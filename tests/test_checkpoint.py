@@ -20,6 +20,7 @@ from test_return_mapping import pipe
 
 import sweepopt as so
 from sweepopt.fem import read_mesh
+from sweepopt.integrate.checkpoint import differences, fingerprint
 
 HERE = Path(__file__).parent
 
@@ -267,6 +268,20 @@ def test_a_checkpoint_of_another_problem_is_refused_and_says_what_differs(tmp_pa
     with pytest.raises(so.InputError, match="had no function"):
         so.resume(path, ours, save=lambda t, u, z: t)
     assert so.resume(path, ours).success
+
+
+def test_sums_of_other_sets_are_another_problem():
+    def process(radius, falls):
+        one = so.Moving(so.Ball([0.0, 0.0], 1.0), scale=so.Sine(0.3, 1.0, offset=1.0))
+        scale = so.Table([0.0, 1.0], [1.0, falls])
+        two = so.Moving(so.Ellipsoid([0.0, 0.0], [[radius, 0.0], [0.0, 1.0]]), scale=scale)
+        return so.SweepingProcess(np.eye(2), np.eye(2), one + two, [0.0, 0.0])
+
+    times = np.linspace(0.0, 1.0, 11)
+    began = fingerprint(process(0.5, 0.7), times)
+    assert differences(began, process(0.5, 0.7), times) == []
+    for other in (process(0.6, 0.7), process(0.5, 0.8)):
+        assert differences(began, other, times) == ["C(t)"]
 
 
 def test_a_load_that_differs_late_or_between_the_times_that_are_compared_is_another_problem(

@@ -44,7 +44,7 @@ from sweepopt.io import (
     write_npz,
 )
 from sweepopt.loads import History
-from sweepopt.problem import SweepingProcess, motion
+from sweepopt.problem import ONE, SweepingProcess, motion
 from sweepopt.sets import ConvexSet
 
 if TYPE_CHECKING:
@@ -361,8 +361,9 @@ def fingerprint(process: SweepingProcess, times: Array) -> dict[str, str]:
     """
     some = times[evenly(len(times), SAMPLES)].tolist()
     moving = motion(process.C)
-    loads = [load for load in (moving.center, moving.scale, moving.offsets) if load is not None]
-    data = [moving.shape, getattr(process.C, "lipschitz", None), *(load.terms for load in loads)]
+    scales, sets = zip(*moving.summands or [(ONE, None)], strict=True)
+    loads = [load for load in (moving.center, *scales, moving.offsets) if load is not None]
+    data = [*sets, getattr(process.C, "lipschitz", None), *(load.terms for load in loads)]
     values = (phi(t) for phi in moving.histories for t in some)
     C = chain(data, moving.histories, values)
     parts = {"A": [process.A], "B": [process.B], "u0": [process.u0], "C(t)": C}
