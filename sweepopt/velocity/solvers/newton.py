@@ -26,7 +26,7 @@ from sweepopt.velocity.energies import KEPT
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
-FAR = 1e-6  # residuals over forces above it are known as well without twice the precision
+FAR = 1e-6  # of the forces: larger residuals need no twice the precision (half of all products)
 # a step with it leaves 1e-6 of the residual; with 1e-8 a hull in units from 1e-6 to 1e6 misses 1e-9
 NEARLY = 1 - 1e-6
 
