@@ -34,7 +34,6 @@ from sweepopt.loads import History, Sine, Triangle
 from sweepopt.problem import SweepingProcess, histories_of, squares
 
 STEPS = 1_000_000  # of the finest pass, or grid: hours, and 16 MB of states of one unknown
-FIRST = 16  # steps of the first pass, twice as many where nothing but values of the load are known
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # steps cut in this ratio fall into step with no period
 PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
 ADVICE = (
@@ -66,7 +65,7 @@ def first_grid(
     stable = math.inf
     if scheme.explicit and process.B is not None and process.Lam > 0:
         stable = 1 / process.Lam
-    first = steps.first or end / (FIRST if known else 2 * FIRST)
+    first = steps.first or end / (16 if known else 32)
     longest = min(first, period / (2 * PER_PIECE), stable)
     if end / longest > STEPS:
         raise InputError(

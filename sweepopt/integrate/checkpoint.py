@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from sweepopt.integrate.record import Grid, Run
 
 SCHEMA = 6  # of the file: one more for each change of what it holds
-SAMPLES = 256  # times at which functions of time are compared
 
 
 @dataclass(frozen=True)
@@ -355,9 +354,9 @@ def _require_free(checkpoint: Checkpoint) -> None:
 def fingerprint(process: SweepingProcess, times: Array) -> dict[str, str]:
     """sha256 of A, B, u0 and C(t), part by part, so that one can say which part differs.
 
-    Of C(t) the data; a function of time is compared by its values at up to SAMPLES of the times.
+    Of C(t) the data; a function of time is compared by its values at up to 256 of the times.
     """
-    some = times[evenly(len(times), SAMPLES)].tolist()
+    some = times[evenly(len(times), 256)].tolist()
     moving = motion(process.C)
     scales, sets = zip(*moving.summands or [(ONE, None)], strict=True)
     loads = [load for load in (moving.center, *scales, moving.offsets) if load is not None]
