@@ -257,11 +257,11 @@ def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work():
 
 
 def test_constraints_tell_their_price_and_what_to_use_instead():
-    linear = so.Constraints(2, lambda w: [w <= 1, w[0] + w[1] >= -1])
-    assert "0.1 s a step and no proof" in repr(linear)
-    assert "as these constraints are linear: so.Polyhedron" in repr(linear)
-    curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
-    assert "so.Ball" in repr(curved)
+    with pytest.warns(so.SweepoptWarning, match=r"100 ms, .* linear, as so\.Polyhedron"):
+        so.Constraints(2, lambda w: [w <= 1, w[0] + w[1] >= -1])
+    with pytest.warns(so.SweepoptWarning, match=r"100 ms, .* balls, .* as so\.Ball") as told:
+        curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
+    assert [one.filename for one in told] == [__file__]
     load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
     process = so.EvolutionVI(np.eye(2), None, load=load, dissipation=curved, u0=[0.0, 0.0])
     sol = run(process, steps=1)
