@@ -1,5 +1,6 @@
 """What new users get wrong; what each of them reads is in data/refused.txt."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -159,6 +160,38 @@ def test_what_a_users_effect_raises_names_its_table(monkeypatch):
     with pytest.raises(ArithmeticError, match="too weak") as caught:
         scene(VISCOUS + "[effects.weak]\nat = 1.0\n", HELD)
     assert caught.value.__notes__ == ["This was raised for effects.weak."]
+
+
+def own_name(x):
+    return nowhere * x[0]  # noqa: F821
+
+
+def test_what_a_function_in_an_effect_raises_names_the_effect_the_field_and_the_time():
+    mesh = so.fem.grid([1.0, 1.0], [2, 2])
+    for effect, words in (
+        (so.fem.Friction("right", own_name), ["raised for g", r"raised for effects\[1\]"]),
+        (so.fem.BodyForce(np.sin, own_name), ["raised for f0", r"raised for effects\[1\]"]),
+        (
+            so.fem.BodyForce(lambda t: own_name([t])),
+            [r"given for history, at t = 0", r"raised for effects\[1\]\.history"],
+        ),
+        (
+            so.fem.BodyForce(np.sin, lambda x, t: own_name(x) if t else x[0]),
+            ["raised for f0", r"given for load\(t\), at t = 0\."],
+        ),
+    ):
+        with pytest.raises(NameError, match="nowhere") as caught:
+            so.fem.antiplane(
+                mesh, clamped="left", effects=[so.fem.Viscosity(1.0), effect], t_end=1.0, steps=2
+            ).solve()
+        for note, pattern in zip(caught.value.__notes__, words, strict=True):
+            assert re.search(pattern, note)
+
+
+def test_a_dissipation_without_0_is_named_where_the_start_moves():
+    vi = so.EvolutionVI(0.5, 2.0, load=np.sin, dissipation=so.Box(1, 2), u0=0.0)
+    with pytest.warns(so.InitialStateWarning, match=r"a dissipation that contains 0, as so\.Box"):
+        run(vi)
 
 
 def test_a_dense_matrix_of_all_degrees_of_freedom_is_restricted_as_a_sparse_one():

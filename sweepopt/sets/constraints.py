@@ -43,9 +43,9 @@ WEIGHT = 2.0**-8  # of an entry of h beside one of G and H: small, as h moves an
 class Constraints(ConvexSet):
     """{ w : the cvxpy constraints that `build(w)` returns }, for sets the shapes do not cover.
 
-    They are read once, in conic form, with the values that parameters have
-    then. A step of scheme "auto" takes about 0.1 s, and no solver's answer can be proved: a run ends
-    with the status "uncertified" and is as accurate as Clarabel is, about 5 digits. Linear constraints are better
+    They are read once, in conic form, with the values that parameters have then. A step of scheme
+    "auto" takes about 0.1 s, and no solver's answer can be proved: a run ends with the status
+    "uncertified" and is as accurate as Clarabel is, about 5 digits. Linear constraints are better
     given as a `Polyhedron`, balls and ellipsoids as `Ball` and `Ellipsoid`, what is made of these
     by `C & D`, `C + D` and `image`: these prove their answers.
 
