@@ -135,16 +135,6 @@ def test_whether_the_start_is_inside_is_found_without_a_slow_projection():
         run(flow(12, ONE), path="auto")
 
 
-@pytest.mark.parametrize(
-    "row", [[1.0, -2.0, 0.0], [1.0, -2.0, 1.0]], ids=["still beside constants", "still in a plane"]
-)
-def test_a_set_of_another_kind_is_told_what_the_path_needs(row):
-    C = so.image(np.array([row]).T, so.Balls([1.0], 1))
-    process = so.SweepingProcess(sp.csc_array(sp.eye_array(3)), None, C, np.zeros(3))
-    with pytest.raises(PathError, match="balls of one dimension"):
-        so.solve(process, t_end=1.0, steps=1, path="cones")
-
-
 @pytest.mark.parametrize("scheme", ["implicit-euler", "sdirk2"])
 @pytest.mark.parametrize("kappa", [0.0, 1.0])
 def test_the_bound_is_above_the_error_and_close_to_it(scheme, kappa):

@@ -89,17 +89,3 @@ def test_tolerances_are_lines_of_their_own_and_all_may_have_failed():
     # a run without a solver call is there too
     (line, *_) = work_precision(BLOCK.assign(solver_calls=0), x="solver_calls").lines
     assert (line.get_xdata() > 0).all()
-
-
-@pytest.mark.parametrize(
-    "table, settings, words",
-    [
-        (TABLE, {"x": "speed"}, "x must be one of wall, cpu, steps"),
-        (TABLE.drop(columns="wall"), {}, r"lacks the columns \['wall'\]"),
-        (TABLE[:0], {}, "no rows"),
-        ([1, 2], {}, "pass the table of a study as it is"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(table, settings, words):
-    with pytest.raises(so.InputError, match=words):
-        work_precision(table, **settings)

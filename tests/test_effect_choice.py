@@ -274,15 +274,6 @@ def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused():
             scene.solve()
 
 
-def test_a_law_of_the_slip_goes_with_a_finite_bound_that_stands_still():
-    changes = {"effects.friction.slip": {"distance": 1.0}}
-    for g in ("0.3 + t", float("inf")):
-        with pytest.raises(InputError, match=r"friction.slip: .* multiplies a finite bound that"):
-            read_scene("square", changes=changes | {"effects.friction.g": g})
-    with pytest.raises(InputError, match="slip must be a law with its Lipschitz constant, such"):
-        Friction("left", g=1.0, slip=abs)
-
-
 QUIET = ["--no-progress", "--set", "pictures=['displacement']"]
 
 
@@ -383,9 +374,3 @@ def _file(folder, text):
     path = folder / "scene.toml"
     path.write_text(text, encoding="utf-8")
     return str(path)
-
-
-def test_none_is_no_value_of_a_coefficient_that_must_be_given():
-    space = Discretisation(grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
-    with pytest.raises(InputError, match=r"effects\[1\]\.g is nan; give a number"):
-        body(space, [Elasticity(E=10.0, nu=0.3), Friction("bottom", g=None)])

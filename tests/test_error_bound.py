@@ -251,7 +251,7 @@ def test_cones_have_a_guaranteed_bound(scheme):
     process = curved_cone()
     sol = so.solve(process, t_end=2.5, steps=20, scheme=scheme)
     reference = so.solve(process, t_end=2.5, steps=300)
-    close_bound(sol, reference.t, reference.u, 5)
+    close_bound(sol, reference.t, reference.u, 1.1)
 
 
 def coupled(seed, history, A):
@@ -390,14 +390,16 @@ def test_the_bound_of_composed_and_curved_sets_is_close(name, A):
     waves = [(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])]
     C, B = so.Moving(COMPOSED[name], so.Separable(waves)), [[1.0, -0.2], [-0.2, 0.8]]
     process = so.SweepingProcess(A * np.array([[1.0, 0.3], [0.3, 0.6]]), B, C, [0.0, 0.0])
-    fine = so.solve(process, t_end=3.0, steps=240, scheme="sdirk2", tol=1e-9)
-    for scheme, most in (("implicit-euler", 3), ("sdirk2", 5)):
-        sol = so.solve(process, t_end=3.0, steps=15, scheme=scheme)
+    fine = so.solve(process, t_end=3.0, steps=120, scheme="sdirk2", tol=1e-9)
+    for scheme, most in (("implicit-euler", 2), ("sdirk2", 3)):
+        sol = so.solve(process, t_end=3.0, steps=8, scheme=scheme)
         close_bound(sol, fine.t, fine.u, most, 0.99)
 
 
-@pytest.mark.parametrize("A", [1.0, 1e-3])
-@pytest.mark.parametrize("scale", ["a curve", "closes and opens", "touches 0"])
+@pytest.mark.parametrize(
+    "scale, A",
+    [("a curve", 1.0), ("a curve", 1e-3), ("closes and opens", 1e-3), ("touches 0", 1e-3)],
+)
 def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_error(A, scale):
     scales = {
         "a curve": so.Sine(0.6, period=2.5, offset=1.0),
@@ -411,10 +413,10 @@ def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_err
             A * np.eye(2), B, so.Moving(S, load, scales[scale]), [0.0, 0.0]
         )
         # both with steps that end at the breakpoints of the scale
-        fine = so.solve(process, t_end=3.0, steps=960, scheme="sdirk2", tol=1e-9)
+        fine = so.solve(process, t_end=3.0, steps=480, scheme="sdirk2", tol=1e-9)
         for scheme in ("implicit-euler", "sdirk2"):
-            sol = so.solve(process, t_end=3.0, steps=24, scheme=scheme)
-            close_bound(sol, fine.t, fine.u, 3, 0.99)
+            sol = so.solve(process, t_end=3.0, steps=12, scheme=scheme)
+            close_bound(sol, fine.t, fine.u, 2, 0.99)
 
 
 def made_of_curved_sets(kind):
@@ -452,9 +454,9 @@ def test_what_is_made_of_curved_sets_with_scales_of_their_own_has_a_guaranteed_b
     B = np.eye(C.dim) + 0.3 * np.eye(C.dim, k=1) + 0.3 * np.eye(C.dim, k=-1)
     u0 = np.linalg.solve(B, C.at(0.0).project(np.zeros(C.dim)))
     process = so.SweepingProcess(A * np.eye(C.dim), B, C, u0)
-    fine = so.solve(process, t_end=2.0, steps=60, scheme="sdirk2", tol=1e-8)
+    fine = so.solve(process, t_end=1.0, steps=40, scheme="sdirk2", tol=1e-8)
     for scheme in ("implicit-euler", "sdirk2"):
-        sol = so.solve(process, t_end=2.0, steps=12, scheme=scheme)
+        sol = so.solve(process, t_end=1.0, steps=8, scheme=scheme)
         close_bound(sol, fine.t, fine.u, 3 if A else 6, 0.95)
 
 

@@ -305,14 +305,6 @@ def test_rows_through_one_corner_take_over_from_one_another(seed):
     assert abs(exact.u[-1] - steps.u[-1]).max() < 1e-5
 
 
-def test_a_scale_that_is_negative_between_the_nodes_is_refused():
-    scale = so.Table([0, 0.4, 0.5, 0.6, 1], [1, 1, -0.1, 1, 1])
-    for shape in (so.Box(-1, 1), so.Box(-1, np.inf)):
-        process = so.SweepingProcess(1.0, None, so.Moving(shape, scale=scale), 0.0)
-        with pytest.raises(so.EmptySetError, match=r"at t = 0.49.* scale is negative"):
-            so.solve(process, t_end=1.0, steps=1, scheme="exact")
-
-
 def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches():
     from skfem import MeshTri
 

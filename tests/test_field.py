@@ -79,24 +79,6 @@ def test_scipy_follows_the_reference(name):
 ONE_NORM = so.Constraints(2, lambda w: [cp.norm(w, 1) <= 1])
 
 
-@pytest.mark.parametrize(
-    "t, u, message",
-    [
-        (np.nan, np.zeros(2), "t is nan"),
-        ("now", np.zeros(2), "t must be"),
-        (1.0, [0.0, 0.0, 0.0], "u must have . entries, got 3"),
-        (1.0, [np.nan, 0.0], r"u\[0\] is nan"),
-        (1.0, [np.inf, 0.0], r"u\[0\] is inf"),
-    ],
-)
-@pytest.mark.parametrize("dim", [1, 2])
-def test_times_and_states_are_checked(t, u, message, dim):
-    box = so.Box(-np.ones(dim), np.ones(dim))
-    velocity = so.velocity_field(so.SweepingProcess(np.eye(dim), np.eye(dim), box, np.zeros(dim)))
-    with pytest.raises(so.InputError, match=message):
-        velocity(t, u[:dim] if len(u) == 2 else u)
-
-
 @pytest.mark.parametrize("name", ["S03", "P09"])
 def test_a_missed_tolerance_raises_with_its_time(name):
     velocity = so.velocity_field(case(name).process, tol=1e-19)

@@ -81,14 +81,6 @@ def test_what_a_callback_returns_is_a_yes_or_a_no():
         assert len(sol.stats) == 1
 
 
-@pytest.mark.parametrize("lacks", ["name", "treats", "compile"])
-def test_an_object_that_lacks_a_part_of_a_solver_is_refused(lacks):
-    parts = {"name", "treats", "compile"} - {lacks}
-    half = SimpleNamespace(**dict.fromkeys(parts, lambda *_: None))
-    with pytest.raises(so.SolverRefusedError, match=f"it has no {lacks}"):
-        run(solver=half)
-
-
 BARE = SimpleNamespace(write=len)  # the least that `print` and redirect_stdout ask of a stream
 
 

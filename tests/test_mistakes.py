@@ -350,55 +350,11 @@ def test_a_cone_of_ones_own_may_have_no_offsets_and_features_may_be_tuples():
     assert lawless(lambda p, y: Features((y,), (cp.norm(p) <= y[0],))).success
 
 
-@pytest.mark.parametrize(
-    "wrong, message",
-    [
-        (
-            {"law": lambda p, y: None},
-            r"Disc.features is no .* must return Features\(\[y\], .*: None",
-        ),
-        (
-            {"law": lambda p, y: (y, cp.norm(p) <= y)},
-            "Disc.features is no program: TypeError: .* must return",
-        ),
-        (
-            {"y": cp.Variable(2)},
-            "Disc.features is no program: .* y of 1 entries, one for each offset",
-        ),
-        (
-            {"law": lambda p, y: Features([y], [2 * cp.norm(p) <= y[0]])},
-            r"features contradicts support: .* least <offsets, y> is 0.68\d*, but .* = 0.34",
-        ),
-        (
-            {"law": lambda p, y: Features([y], [cp.sqrt(y[0]) <= 1])},
-            "features is no program: DCPError",
-        ),
-        ({"offsets": 0.5}, r"offsets must be an array of shape \(1,\), got 0.5"),
-        ({"offsets": None}, "Disc.offsets must be an array of numbers, got None"),
-    ],
-)
-def test_a_set_of_ones_own_is_checked_before_any_step(wrong, message):
-    load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
-    right, other = (
-        so.EvolutionVI(np.eye(2), None, load=load, dissipation=D, u0=[0.0, 0.0])
-        for D in (Disc(), Disc(**wrong))
-    )
-    assert so.solve(right, t_end=1.0, steps=4).success
-    with pytest.raises(so.InputError, match=message):
-        so.solve(other, t_end=1.0, steps=4)
-
-
 def test_a_run_without_an_exact_trajectory_says_which_scheme_has_one():
     sol = run()
     with pytest.raises(AttributeError, match=r'only a run with scheme="exact" .* sol\(t\)'):
         sol.exact(1.0)
     assert not hasattr(sol, "exact")
-
-
-def test_the_part_of_a_name_behind_its_hyphen_is_enough_for_a_suggestion():
-    for name in ("euler", "Euler", "backward-euler", "implicit_euler"):
-        with pytest.raises(so.InputError, match="did you mean implicit-euler"):
-            run(scheme=name)
 
 
 @pytest.mark.parametrize("form", [np.array, sp.csr_array, sp.csc_array])

@@ -27,7 +27,6 @@ from sweepopt.fem import (
     antiplane,
     body,
     grid,
-    read_scene,
     snapshots,
 )
 from sweepopt.fem.output import Report
@@ -310,11 +309,6 @@ def test_a_scene_writes_what_the_command_line_writes(tmp_path):
     folder = scene.write(scene.solve(steps=4), tmp_path / "new" / "run")
     files = {path.name for path in folder.iterdir()}
     assert {"solution.nc", "displacement.png", "contact.png", "summary.json", "vtu"} <= files
-
-
-def test_a_picture_that_nothing_draws_is_refused_when_a_scene_is_read():
-    with pytest.raises(so.InputError, match=r"pictures must be one of .*contact.*'nonsense'"):
-        read_scene({"pictures": ["nonsense"], "domain": {}, "time": {}, "effects": {}})
 
 
 @pytest.fixture(scope="module")

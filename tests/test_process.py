@@ -175,15 +175,6 @@ def test_the_a_priori_bound_holds_for_all_kinds_of_moving_sets(C):
     assert 0 < largest <= process.velocity_bound(np.linspace(0, 2, 51)).value
 
 
-def test_a_variation_that_is_not_known_is_refused():
-    C = so.Polyhedron([[1.0, 0], [0, 1], [-1, -1]], lambda t: [np.cos(t), 1, 1])
-    process = so.SweepingProcess(np.eye(2), None, C, [0, 0])
-    with pytest.raises(so.InputError, match="not known for this kind"):
-        process.variation(np.linspace(0, 1, 5))
-    with pytest.raises(so.InputError, match="strictly increasing"):
-        process.variation([1.0, 0.0])
-
-
 def test_the_bound_of_a_body_at_rest_is_zero_whatever_its_constants():
     # exp(|B| T / beta) is infinite here, and nothing times it is nothing
     process = so.SweepingProcess(1e-20, 1.0, so.Box(0, 0), 0.0)

@@ -5,8 +5,6 @@ import pytest
 import skfem
 from test_fem import order
 
-import sweepopt as so
-from sweepopt.errors import InputError, PathError
 from sweepopt.fem import (
     BodyForce,
     Discretisation,
@@ -193,15 +191,3 @@ def test_perzynas_viscosity_follows_its_closed_form(hardening):
     slopes = order(errors)
     assert slopes == pytest.approx(1.0, abs=0.1), errors
     assert errors[-1] < 0.051 * shear, "without H the steps add 0.05 s to s^2"
-
-
-def test_plasticity_asks_for_elasticity():
-    scene = pipe(1)
-    with pytest.raises(InputError, match="elasticity: plasticity needs one"):
-        body(scene.discretisation, [Plasticity(1.0, Hk=1.0)])
-
-
-def test_a_set_without_diagonal_blocks_is_told_what_the_path_needs():
-    process = so.SweepingProcess([[2.0, 1.0], [1.0, 2.0]], None, so.Box([-1, -1], [1, 1]), [0, 0])
-    with pytest.raises(PathError, match="A and B are diagonal"):
-        so.solve(process, t_end=1.0, steps=2, path="return mapping")

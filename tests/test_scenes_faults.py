@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-import sweepopt as so
-from sweepopt.fem import grid, read_scene
+from sweepopt.fem import read_scene
 from sweepopt.fem.output import Report
 from sweepopt.fem.pictures import driven
 from sweepopt.io import find_scene, parse_toml
@@ -75,10 +74,3 @@ def test_fretting_is_that_of_cattaneo_and_mindlin():
     assert core == pytest.approx(np.sqrt(s), rel=0.01)
     loss = P**2 / np.pi * (1 - s**2 + 2 * s * np.log(s))
     assert 2 * np.diff(report.energy.friction[[20, 100]])[0] == pytest.approx(loss, rel=0.01)
-
-
-def test_a_grid_says_which_of_its_points_is_wrong():
-    with pytest.raises(so.InputError, match=r"points must be 2 formulas"):
-        grid([1.0, 1.0], [2, 2], points=["x"])
-    with pytest.raises(so.InputError, match=r"points\[1\]"):
-        grid([1.0, 1.0], [2, 2], points=["x", "1 / y"])

@@ -182,14 +182,6 @@ def test_rough_loads_are_not_met_and_the_plan_says_so():
         assert f"{most + 1} inside of steps, over {most} are not met" in str(rough.plan)
 
 
-def test_a_set_is_looked_at_where_the_parts_ask_for_it():
-    height = so.Table([0.0, 0.3, 0.5, 1.0], [1.0, 1.0, -0.1, 1.0])
-    C = so.Polyhedron([[1.0], [-1.0]], so.Separable([(height, [1.0, 1.0])]))
-    process = so.SweepingProcess(0.0, 1.0, C, 0.0)
-    with pytest.raises(so.InputError, match=r"C\(t\) at t = 0\.5 is empty"):
-        so.solve(process, steps=[0.0, 0.4, 0.9, 1.0])
-
-
 # ---- bit for bit after a kill ----------------------------------------------------------------
 
 

@@ -132,15 +132,6 @@ def test_which_steps_are_stiff_is_asked_of_each():
     assert not any(euler[30:])
 
 
-def test_a_set_is_looked_at_where_steps_of_implicit_euler_would_ask_for_it():
-    def box(t):
-        return so.Box(1.0, 0.0) if abs(t - 0.4) < 1e-3 else so.Box(-1.0, 1.0)
-
-    process = so.SweepingProcess(0.0, 1.0, so.MovingSet(box, dim=1), 0.0)
-    with pytest.raises(so.InputError, match=r"t = 0\.4"):
-        so.solve(process, t_end=1.0, steps=1)
-
-
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize("name", ["S02", "V05", "P09"])
 def test_sdirk32_is_of_order_two(name):
