@@ -26,7 +26,7 @@ def run(name, steps, **changes):
     return so.solve(this.process(), t_end=t_end, steps=steps, **changes)
 
 
-def error(name, sol, steps=4000):
+def error(name, sol, steps=1000):
     """max |u_i - u(t_i)| of a reference case: exact, or where faces are curved of a fine run."""
     if case(name).polyhedral:
         return error_of(sol)

@@ -24,7 +24,7 @@ COERCIVE = [name for name in SETS if np.any(PROBLEMS[name].A)]
 
 
 def in_turn(name, scheme, steps):
-    """One grid of each run here, all with -m slow; for the spiral of B14 a coarse one."""
+    """One grid of each run here, all with -m slow; of curved sets a coarse one."""
     turn = (SETS.index(name) + STEPPING.index(scheme)) % 2 if name in COERCIVE else 0
     here = steps == grids(name)[0 if name in CURVED else turn]
     return pytest.param(name, scheme, steps, marks=[] if here else pytest.mark.slow)
@@ -32,9 +32,7 @@ def in_turn(name, scheme, steps):
 
 def grids(name):
     """Steps of the runs whose bounds are compared to the error."""
-    if name == "B14":
-        return 21, 101, 211
-    return (101, 211) if name in CURVED else (11, 53)
+    return (21, 101, 211) if name in CURVED else (11, 53)
 
 
 RUNS = [
@@ -273,24 +271,26 @@ def coupled(seed, history, A):
     )
 
 
-@pytest.mark.parametrize("A", [0.3, 0.0])
 @pytest.mark.parametrize(
-    "seed, history",  # dense rows, and sparse ones
+    "seed, A, history",  # dense rows, and sparse ones
     [
-        (0, lambda random: so.Sine(1.0, random.uniform(1.0, 3.0))),
-        (1, lambda random: so.Table([0, 0.5, 1.1, 1.7, 2.0], np.append(0, random.normal(size=4)))),
+        (0, 0.3, lambda random: so.Sine(1.0, random.uniform(1.0, 3.0))),
+        (
+            *(1, 0.0),
+            lambda random: so.Table([0, 0.5, 1.1, 1.7, 2.0], np.append(0, random.normal(size=4))),
+        ),
     ],
     ids=["sines", "tables"],
 )
-def test_coupled_rows_that_move_have_a_guaranteed_bound(seed, history, A):
+def test_coupled_rows_that_move_have_a_guaranteed_bound(seed, A, history):
     process = coupled(seed, history, A)
-    bounds_are_close_to_the_exact_errors(process, steps=20)
+    bounds_are_close_to_the_exact_errors(process)
 
 
-def bounds_are_close_to_the_exact_errors(process, steps):
+def bounds_are_close_to_the_exact_errors(process):
     truth = so.solve(process, t_end=2.0, steps=1, scheme="exact")
     for scheme in FOR_A_ZERO:
-        sol = so.solve(process, t_end=2.0, steps=steps, scheme=scheme, on_unstable="ignore")
+        sol = so.solve(process, t_end=2.0, steps=20, scheme=scheme, on_unstable="ignore")
         times = divided(sol.t, 8)
         close_bound(sol, times, truth.exact(times), 4)
 
@@ -316,11 +316,10 @@ def made_of_rows(kind, random):
     }[kind]()
 
 
-@pytest.mark.parametrize("A", [0.3, 0.0])
 @pytest.mark.parametrize(
-    "kind",
-    ["P & C", "C & D", "2P + v", "v - (P & C)", "product", "on two of three"]
-    + ["boxes scaled apart", "P + c", "C + D"],
+    "kind, A",
+    [("P & C", 0.3), ("C & D", 0.0), ("2P + v", 0.3), ("v - (P & C)", 0.0), ("product", 0.3)]
+    + [("on two of three", 0.0), ("boxes scaled apart", 0.3), ("P + c", 0.3), ("C + D", 0.0)],
 )
 def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_trajectory(kind, A):
     random = np.random.default_rng(8)
@@ -329,7 +328,7 @@ def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_traj
     A, B = A * (Q @ Q.T + 0.2 * np.eye(C.dim)), R @ R.T + 0.5 * np.eye(C.dim)
     u0 = np.linalg.solve(B, C.at(0.0).project(random.normal(size=C.dim)))
     process = so.SweepingProcess(A, B, C, u0)
-    bounds_are_close_to_the_exact_errors(process, steps=40)
+    bounds_are_close_to_the_exact_errors(process)
 
 
 @pytest.mark.parametrize("A", [1.0, 1e-4])
@@ -427,10 +426,7 @@ def made_of_curved_sets(kind):
     ellipse = so.Moving(COMPOSED["an ellipse"], two, so.Sine(0.3, 2.3, offset=0.6))
     bar = so.Moving(so.Box([-0.2, -0.1], [0.3, 0.1]), scale=so.Polynomial([1.0, -0.3]))
     return {
-        "a sum": lambda: disc + ellipse,
-        "a sum with one that rests": lambda: (
-            disc + (0.2 * COMPOSED["an ellipse"] + [0.1, 0.2]) + ellipse
-        ),
+        "a sum": lambda: disc + (0.2 * COMPOSED["an ellipse"] + [0.1, 0.2]) + ellipse,
         "a product": lambda: so.product(disc, so.Ball([0.0], 0.3), ellipse),
         "an image": lambda: so.image(
             [[1.0, 0.2, 0.3, 0.0], [0.0, 1.0, 0.5, 1.0]], so.product(disc, -0.5 * ellipse)
@@ -443,7 +439,6 @@ def made_of_curved_sets(kind):
     "kind, A",
     [
         ("a sum", 1.0),
-        ("a sum with one that rests", 1e-3),
         ("a product", 0.0),
         ("an image", 1e-3),
         ("a sum of a sum", 0.0),
@@ -466,7 +461,7 @@ def test_a_scale_of_0_at_a_node_does_not_make_the_bound_of_a_sum_loose():
     for end in (0.0, 1e-3):
         closes = so.Moving(COMPOSED["an ellipse"], scale=so.Table([0.0, 1.0], [1.0, end]))
         C = so.Moving(so.Ball([0.0, 0.0], 0.5), load, so.Sine(0.2, 1.0, offset=1.0)) + closes
-        sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=20)
+        sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=8)
         bounds.append(sol.error_bound())
     assert all(bound.guaranteed for bound in bounds)
     assert bounds[0] <= 1.2 * bounds[1]
@@ -615,9 +610,9 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
 def test_an_error_that_takes_many_steps_is_warned_of():
     pull = so.Separable([(so.Sine(3.0, period=3.1), 1.0)])
     process = so.SweepingProcess(0.0, 2.0, so.Moving(so.Box(-1, 1), center=pull), 0.0)
-    with pytest.warns(so.SweepoptWarning, match=r"takes about .* steps .*, 2 were given"):
-        sol = so.solve(process, t_end=2.0, steps=2, error=5e-4)
-    assert sol.error_bound() <= 5e-4
+    with pytest.warns(so.SweepoptWarning, match=r"takes about .* steps .*, 1 were given"):
+        sol = so.solve(process, t_end=2.0, steps=1, error=1e-3)
+    assert sol.error_bound() <= 1e-3
 
 
 @pytest.mark.parametrize("part", [so.Ball(0.0, 1.0), so.Box(-1.0, 1.0)])
