@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 HULL = 8  # dimensions up to which a hull is computed
 TURNS = 20  # changes of the face, for each vertex
-COPLANAR = 1e-13  # points of size 1 that are nearer to a facet's plane lie on it: a few roundings
 
 
 class _Face(NamedTuple):
@@ -178,19 +177,10 @@ def convex_hull(points: Array) -> ConvexHull:
 
 
 def _facets(points: Array) -> tuple[Array, Array]:
-    """N and d of the hull of points that is not flat, each facet once, from all of its points."""
+    """N and d of the hull of points that is not flat."""
     dim = points.shape[1]
-    N = np.vstack([np.eye(dim), -np.eye(dim)])  # in no or one dimension
-    if dim > 1:
-        hull, normals = convex_hull(points), []
-        left = np.ones(len(hull.simplices), dtype=bool)
-        while left.any():
-            first = int(left.argmax())
-            n, on = hull.equations[first, :-1], points @ hull.equations[first, :-1]
-            on = on + hull.equations[first, -1] > -COPLANAR
-            left &= ~on[hull.simplices].all(axis=1)
-            left[first] = False
-            better = np.linalg.svd(points[on] - points[on].mean(axis=0), False)[2][-1]
-            normals.append(better if better @ n > 0 else -better)
-        N = np.array(normals)
+    if dim > 1:  # Qhull's facets of more than dim points are simplices that have one equation
+        N = np.unique(convex_hull(points).equations[:, :-1], axis=0)
+    else:
+        N = np.vstack([np.eye(dim), -np.eye(dim)])
     return N, (N @ points.T).max(axis=1)  # through the vertices to rounding
