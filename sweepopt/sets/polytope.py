@@ -125,7 +125,10 @@ class Polytope(ConvexSet):
     def halfspaces(self) -> Halfspaces:
         """The facets of the hull, in its affine span where it is flat."""
         points, span, centre, E = _in_span(self.vertices)
-        N, d = _facets(points)
+        N = np.vstack([np.eye(len(span)), -np.eye(len(span))])  # in no or one dimension
+        if len(span) > 1:  # facets of more points than dimensions are simplices of one equation
+            N = np.unique(convex_hull(points).equations[:, :-1], axis=0)
+        d = (N @ points.T).max(axis=1)  # through the vertices to rounding
         N, e = N @ span, E @ centre
         lengths = np.linalg.norm(N, axis=1)
         return Halfspaces(N / lengths[:, None], d / lengths + N @ centre / lengths, E, e)
@@ -174,13 +177,3 @@ def convex_hull(points: Array) -> ConvexHull:
         return ConvexHull(points)
     except QhullError as error:
         raise NoHalfspacesError("a hull whose facets are not found") from error
-
-
-def _facets(points: Array) -> tuple[Array, Array]:
-    """N and d of the hull of points that is not flat."""
-    dim = points.shape[1]
-    if dim > 1:  # Qhull's facets of more than dim points are simplices that have one equation
-        N = np.unique(convex_hull(points).equations[:, :-1], axis=0)
-    else:
-        N = np.vstack([np.eye(dim), -np.eye(dim)])
-    return N, (N @ points.T).max(axis=1)  # through the vertices to rounding
