@@ -17,6 +17,7 @@ and through the projection on C. Two facts make one small contract enough:
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
@@ -424,6 +425,10 @@ class ConvexSet(Operators, ABC):
 
     # ---- what follows from it -----------------------------------------------------------------
 
+    def copy_for_run(self) -> ConvexSet:
+        """C for one run alone: `start_at` on it is not seen by others."""
+        return self if self.exact else copy.copy(self)
+
     def _memo(self, v: Array, function: Callable[[Array], Any]) -> Any:
         """function(v), kept for the last v: projection, derivative and pair ask in turn.
 
@@ -582,7 +587,7 @@ class ConvexSet(Operators, ABC):
     def start_at(self, v: Array, s: Array, n: Array) -> None:
         """Find the projection of v from points s of the parts and normals n; formulas need none.
 
-        Its last bits are those of this start: to be called on a copy, which other runs do not see.
+        Its last bits are those of this start: to be called on `copy_for_run`.
         """
 
     def is_beyond(self, w: Array, distance: float) -> bool:

@@ -19,7 +19,6 @@ with w = N zeta + N E M^-1 (q - c) (MATH.md section 5). For a residual of some z
 the same program gives the change of z.
 """
 
-import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -164,7 +163,7 @@ class Attempt:
         """From residuals to the solver's normal pairs."""
         M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
-            S = copy.copy(selection.part)  # a start of its projection is that of this run alone
+            S = selection.part.copy_for_run()
         compiled = self.compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
         start = [best[M.unknowns]] if self.from_best and best.any() else []
 
