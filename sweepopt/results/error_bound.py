@@ -199,17 +199,32 @@ def error_bound(
     return ErrorBound.make(reason, run.t, A, B, lower)
 
 
-def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
-    """Which of WORK, whether one curve v is tried, and whether w is one of programs' points."""
+def require_bound(process: SweepingProcess, plan: Plan) -> None:
+    """Refuse a run whose error no bound is known of.
+
+    Raises
+    ------
+    InputError
+        If C depends on the state.
+    PathError
+        If path "cones" would need projections that are slow.
+    """
+    process.refuse_state("error_bound")
     moving = motion(process.C)
-    sets = [S for _, S in moving.summands]
     is_data = all(scale.function is None for scale, _ in moving.summands)
-    if plan.cones and not (sets and is_data and moving.disjoint):
+    if plan.cones and not (moving.summands and is_data and moving.disjoint):
         raise PathError(
             "error_bound needs projections that take seconds each for path='cones', where C(t) is "
             "a function, or a sum on the same unknowns: give it as data, such as so.Separable, "
             "or take path='full'"
         )
+
+
+def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
+    """Which of WORK, whether one curve v is tried, and whether w is one of programs' points."""
+    moving = motion(process.C)
+    sets = [S for _, S in moving.summands]
+    is_data = all(scale.function is None for scale, _ in moving.summands)
     large = plan.contact is not None and process.dim > LARGE
     sharp = all(S.sharp_gaps for S in sets)
     exact = moving.disjoint and all(S.exact for S in sets)
