@@ -63,7 +63,7 @@ from sweepopt.integrate import (
 )
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
-from sweepopt.problem import Norms, SweepingProcess, motion
+from sweepopt.problem import ONE, Norms, SweepingProcess, motion
 from sweepopt.results.interpolation import CURVES, Nodes, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.velocity import Plan
@@ -245,7 +245,7 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
         h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
         if not np.isfinite(h).all():
             return math.inf
-        sets = [(moving.scale, sets[0][1].with_offsets(h))]
+        sets = [(ONE, sets[0][1].with_offsets(h))]
     size = 0.0
     for scale, S in sets:
         most = sum(phi * float(np.abs(f).max()) for phi, f in scale.largest(a, b))

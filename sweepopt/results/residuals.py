@@ -154,7 +154,7 @@ def residuals(
         if process.B is not None:
             forces += applied(process.B, nodes.u[1:])
         points = _points_of_several(data, nodes.t[1:], forces, speed)
-    elif members is not None and (scale := data.scale.at(nodes.t[1:])).all():
+    elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
         points = [(members - data.center.at(nodes.t[1:])) / scale]
     model = _model(process, data, reason, norms, nodes, variation, points)
     try:
@@ -243,8 +243,10 @@ def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
     """Translates of a bounded set are as far apart as their centers."""
-    shape, scale = moving.shape, moving.scale
-    if shape is None or not scale.constant or not math.isfinite(shape.magnitude()):
+    if len(moving.summands) != 1:
+        return None
+    ((scale, shape),) = moving.summands
+    if not scale.constant or not math.isfinite(shape.magnitude()):
         return None
     center = moving.center
     value = center.function or (lambda t: center.at(np.array([t]))[0])

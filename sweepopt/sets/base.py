@@ -425,7 +425,7 @@ class ConvexSet(Operators, ABC):
 
     # ---- what follows from it -----------------------------------------------------------------
 
-    def apart(self) -> ConvexSet:
+    def copy_for_run(self) -> ConvexSet:
         """C for one run alone: `start_at` on it is not seen by others."""
         return self if self.exact else copy.copy(self)
 
@@ -587,7 +587,7 @@ class ConvexSet(Operators, ABC):
     def start_at(self, v: Array, s: Array, n: Array) -> None:
         """Find the projection of v from points s of the parts and normals n; formulas need none.
 
-        Its last bits are those of this start: to be called on a set that is `apart`.
+        Its last bits are those of this start: to be called on `copy_for_run`.
         """
 
     def is_beyond(self, w: Array, distance: float) -> bool:
