@@ -303,8 +303,15 @@ class Operators(Brief):
     def __contains__(self, w: Any) -> bool:
         raise InputError("w in C: write C.contains(w), of a set that moves C.at(t).contains(w)")
 
+    def __or__(self, _: Any) -> Any:
+        raise InputError(
+            "C | D and C @ M are not defined: an intersection is C & D, an image M @ C, a union "
+            "is not convex"
+        )
+
     __radd__ = __add__
     __mul__ = __rmul__
+    __matmul__ = __or__
 
 
 class _Required:

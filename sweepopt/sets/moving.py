@@ -207,7 +207,12 @@ class Moving(MovingSet):
         self.shape, self.dim = shape, shape.dim
         if callable(center):
             takes(self.center_name, center, "t")
-            if isinstance(center, History) and self.dim == 1 and not hasattr(center, "dim"):
+            if isinstance(center, History) and not hasattr(center, "dim"):
+                if self.dim > 1:
+                    raise InputError(
+                        f"a load or center must have {self.dim} entries at a time, got "
+                        f"{shown(center)}; with its direction f it is so.Separable([(history, f)])"
+                    )
                 center = Separable([(center, 1.0)])
         elif center is not None:
             center = Separable([(Constant(), vector("center", center, self.dim))])
