@@ -49,10 +49,8 @@ class Problem:
             (made(loads, {history: arguments}), direction)
             for (history, arguments), (_, direction) in map(dict.items, self.load)
         )
-        if G := self.set.get("Polyhedron"):
-            C = sets.Polyhedron(*G, load)
-        else:
-            C = sets.Moving(made(sets, self.set), load)
+        rows: Any = self.set.get("Polyhedron")
+        C: Any = sets.Polyhedron(*rows, load) if rows else sets.Moving(made(sets, self.set), load)
         return SweepingProcess(self.A, self.B, C, self.u0)
 
 
