@@ -110,6 +110,17 @@ def embedded(this, others=9):
     return so.SweepingProcess(A, grown(B, ratio), C, mix[:, others:] @ alone.u0)
 
 
+def close_bound(sol, times, u, most, known=1.0):
+    """The bound of a run is guaranteed, above its error and at most so many times it.
+
+    u at these times is exact, or known to a share 1 - `known` of the error.
+    """
+    bound, error = sol.error_bound(), max(map(sol.process.metric.norm, sol(times) - u))
+    assert bound.guaranteed
+    assert bound.lower <= 1.1 * error  # the worst time may be between those looked at
+    assert 0.0 < known * error <= bound <= most * error
+
+
 def slow(*values):
     """Values of a test that are left to -m slow."""
     return pytest.param(*values, marks=pytest.mark.slow)

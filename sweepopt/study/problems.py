@@ -49,8 +49,10 @@ class Problem:
             (made(loads, {history: arguments}), direction)
             for (history, arguments), (_, direction) in map(dict.items, self.load)
         )
-        rows: Any = self.set.get("Polyhedron")
-        C: Any = sets.Polyhedron(*rows, load) if rows else sets.Moving(made(sets, self.set), load)
+        if "Polyhedron" in self.set:
+            C = made(sets, {"Polyhedron": [*self.set["Polyhedron"], load]})
+        else:
+            C = sets.Moving(made(sets, self.set), load)
         return SweepingProcess(self.A, self.B, C, self.u0)
 
 
