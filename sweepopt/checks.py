@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import blas
 
-from sweepopt.errors import InputError, SweepoptError, shown, suggestion
+from sweepopt.errors import InputError, note, shown, suggestion
 
 F = TypeVar("F")
 R = TypeVar("R")
@@ -143,8 +143,8 @@ def at_path(where: str) -> Iterator[None]:
     except InputError as error:
         raise type(error)(f"{where}{error}") from error
     except Exception as error:  # of a user's class or function
-        if where and not (isinstance(error, SweepoptError) or hasattr(error, "__notes__")):
-            error.add_note(f"This was raised for {where.rstrip('.: ')}.")
+        if where:
+            note(error, f"This was raised for {where.rstrip('.: ')}.")
         raise
 
 

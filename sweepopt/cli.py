@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sweepopt import __version__
+from sweepopt.checks import count
 from sweepopt.display import as_lines
 from sweepopt.driver import planned, run_over
 from sweepopt.errors import (
@@ -32,7 +33,8 @@ from sweepopt.errors import (
 from sweepopt.integrate import SolveOptions, schemes
 from sweepopt.io import find_scene, find_study, folder_at, list_scenes, read_toml
 from sweepopt.problem import Norms
-from sweepopt.velocity import Plan, solvers
+from sweepopt.results import require_bound
+from sweepopt.velocity import PATHS, Plan, solvers
 
 if TYPE_CHECKING:
     from sweepopt.fem import Scene
@@ -41,6 +43,9 @@ if TYPE_CHECKING:
 DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written; or the
 results are in a temporary folder, as theirs is full."""
+
+SMALL = Path(__file__).parent / "study" / "problems.toml"
+"""Problems of studies that are no scenes."""
 
 TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"  # of a study
 
@@ -64,6 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         word, known = unknown[0], [f"--{name}".replace("_", "-") for name in vars(options)]
         hint = "; put it after the command" if word in known else suggestion(word, known)
+        if not word.startswith("-"):
+            hint = "; give one SCENE or STUDY, and words with blanks in quotes: --set 'PATH=a b'"
         parser.error(f"unrecognized argument {word}{hint}")
     try:
         with warnings.catch_warnings():  # as one line without a source file
@@ -107,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--scheme", help=f"auto, {', '.join(schemes.SCHEMES)}")
     run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
+    run.add_argument("--path", help=", ".join(PATHS))
     run.add_argument("--animate", action="store_true", help="write an animation too, as a GIF")
     words = "bound the error of the whole run too, in the norm of A: takes longer than the run"
     run.add_argument("--bound", action="store_true", help=words)
@@ -155,11 +163,12 @@ def _list(_: argparse.Namespace) -> int:
 
 
 def _effects(options: argparse.Namespace) -> int:
+    path = _file(find_scene(options.scene))
     _require("fem")
     from sweepopt.fem import compare_effects
     from sweepopt.fem.scene_file import parse_changes
 
-    path, changes = find_scene(options.scene), parse_changes(options.set)
+    changes = parse_changes(options.set)
     table = compare_effects(path, changes=changes, without=options.without, steps=options.steps)
     print(table.to_string(float_format="{:.1e}".format))
     return DONE
@@ -167,12 +176,14 @@ def _effects(options: argparse.Namespace) -> int:
 
 def _study(options: argparse.Namespace) -> int:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
+    path = _file(find_study(options.study))
+    if options.workers is not None:
+        count("--workers", options.workers)
     from sweepopt import study as room
     from sweepopt.study.hard import run_suite, suite_summary
     from sweepopt.study.report import fastest_runs
     from sweepopt.study.study import read_parts
 
-    path = find_study(options.study)
     folder = options.out or Path("results") / path.stem
     data, parts = read_parts(path)
     table, solutions, files = None, {}, []
@@ -207,6 +218,8 @@ def _study(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace) -> int:
     """Compare all solvers on the programs of a scene."""
+    if options.scene not in read_toml(SMALL):
+        _file(find_scene(options.scene))
     from sweepopt.study import compare, comparison_text, find_source
 
     if options.csv is not None:
@@ -219,13 +232,13 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    path = _file(find_scene(options.scene))
     _require("fem", "plot")
     from sweepopt.fem import pictures, read_scene
     from sweepopt.fem.output import Report
     from sweepopt.fem.scene_file import parse_changes
 
-    path = find_scene(options.scene)
-    given = {name: getattr(options, name) for name in ("steps", "scheme", "solver", "tol")}
+    given = {name: getattr(options, name) for name in ("steps", "scheme", "solver", "tol", "path")}
     scene = read_scene(path, changes=parse_changes(options.set), without=options.without)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
     drawn = [f"{name}.png" for name in pictures.pictures_of(scene)]
@@ -234,9 +247,12 @@ def _run(options: argparse.Namespace) -> int:
     folder = folder_at("--out", options.out or Path("results") / path.stem)
     process, started = scene.process, clock.perf_counter()
     solving = SolveOptions(
-        *(scene.t_end, scene.steps, scene.scheme, scene.solver, scene.tol), on_failure="stop"
+        *(scene.t_end, scene.steps, scene.scheme, scene.solver, scene.tol, scene.path),
+        on_failure="stop",
     )
     grid = planned(process, solving)
+    if options.bound:
+        require_bound(process, grid.plan)
     _announce(scene, grid.plan)
 
     text = path.read_text(encoding="utf-8")
@@ -303,6 +319,12 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
         "written": f"{folder}: {', '.join(named)}",
     }
     print(as_lines(lines.items()))
+
+
+def _file(path: Path) -> Path:
+    """The path of a file that can be read: a wrong name is told before what is not installed."""
+    read_toml(path)
+    return path
 
 
 def _require(*extras: str) -> None:

@@ -59,11 +59,6 @@ from sweepopt.results import NetCDFSink, Solution
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
-GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
-LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
-LONG = 1000  # times the given steps: without a word such a run seems to hang
-HOPELESS = 100 * STEPS  # by the order of the scheme, from the first grid, which may be too coarse
-
 
 @meaning(
     u0="; the problem is stated first: so.solve(so.SweepingProcess(A, B, C, u0), t_end=1.0)",
@@ -338,21 +333,22 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
         if bound <= error:
             return solution
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
-        if last is not None and not bound < LEAST_GAIN * last:
-            break
+        if last is not None and not bound < 0.9 * last:
+            break  # the bound has come down to what programs and sums round
         steps = factor * len(times)
-        if last is not None and LONG * first < steps <= STEPS and not long:
-            long = True
+        if last is not None and 1000 * first < steps <= STEPS and not long:
+            long = True  # without a word such a run seems to hang
             warn(
                 f"error = {error:g} takes about {steps:.0e} steps by the order of the scheme, "
                 f"{first - 1} were given; with progress=True the last run shows them",
                 SweepoptWarning,
             )
         last = float(bound)
-        most = max(STEPS, HOPELESS * first / len(times))  # a finer grid is surer of its order
+        # a finer grid is surer of its order
+        most = STEPS * max(1.0, 100 * first / len(times))
         if math.isfinite(bound) and steps > most:
             break
-        times = divided(times, max(math.ceil(min(factor, GROWTH)), 2))
+        times = divided(times, max(math.ceil(min(factor, 8)), 2))  # the factor is an estimate
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
         f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "

@@ -48,10 +48,15 @@ def result_of(function: Callable[[Any], Any], argument: Any, name: str) -> Any:
     try:
         return function(argument)
     except Exception as error:
-        if not isinstance(error, SweepoptError) and not hasattr(error, "__notes__"):
-            time = f", at t = {argument:g}" if isinstance(argument, (int, float)) else ""
-            error.add_note(f"This was raised in the function that was given for {name}{time}.")
+        time = f", at t = {argument:g}" if isinstance(argument, (int, float)) else ""
+        note(error, f"This was raised in the function that was given for {name}{time}.")
         raise
+
+
+def note(error: Exception, words: str) -> None:
+    """Say once where an error of a user's own was raised."""
+    if not isinstance(error, SweepoptError) and words not in getattr(error, "__notes__", ()):
+        error.add_note(words)
 
 
 class Status(Enum):

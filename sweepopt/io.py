@@ -104,8 +104,13 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except ValueError as error:  # not TOML, or a number of thousands of digits
-        twice = "; several tables of one kind are [[table]], [[table]]" * ("twice" in str(error))
-        raise InputError(f"{where}: is not TOML: {error}{twice}") from error
+        hint = ""
+        if found := re.search(r"declare \((.*)\) twice", str(error)):
+            name = ".".join(re.findall(r"'(.+?)'", found[1]))
+            hint = f"; put all keys under one [{name}], or write [[{name}]] above each of several"
+        elif "overwrite" in str(error):
+            hint = "; this key is there twice: leave one out"
+        raise InputError(f"{where}: is not TOML: {error}{hint}") from error
     except RecursionError as error:
         raise InputError(f"{where}: is not TOML: brackets within brackets without end") from error
 
@@ -151,7 +156,11 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
                 table[row] = [cell.strip() for cell in next(csv.reader([line]))]
             except csv.Error as error:  # a cell beyond the reader's limit
                 raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
-    header = table.pop(next(iter(table), 0), [])
+    if not table:
+        raise InputError(
+            f"{path}: is empty; write the column names, t,{others[0]}, and a row for each time"
+        )
+    header = table.pop(next(iter(table)))
     if time is None:
         words = {name: re.split(r"\W", name.lower())[0] for name in header}
         left = [name for name in header if name not in others]

@@ -267,6 +267,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
         (["ring.toml", "--set", "time.end=0"], "sweepopt: ring.toml: time.end must be > 0"),
         (["pipe", "--set", "solve.scheme=rk4"], "pipe.toml: solve.scheme 'rk4' is not known; use"),
         (["no.toml"], "is not TOML"),
+        (["ring.toml", "--path", "cone"], "path must be one of auto, proportional, eliminated"),
     ],
 )
 @pytest.mark.usefixtures("scene")
@@ -283,7 +284,11 @@ def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
 @pytest.mark.parametrize("arguments, words", [
     (["run", "pipe", "--bounds"], "unrecognized argument --bounds; did you mean --bound?"),
     (["--bound", "run", "pipe"], "unrecognized argument --bound; put it after the command"),
-    (["run", "pipe", "tube"], "unrecognized argument tube"),
+    (
+        ["run", "pipe", "tube"],
+        "unrecognized argument tube; give one SCENE or STUDY, and words with blanks in quotes: "
+        "--set 'PATH=a b'",
+    ),
 ])  # fmt: skip
 def test_an_option_that_is_not_known_is_named_with_the_nearest_one(arguments, words, capsys):
     with pytest.raises(SystemExit):
@@ -312,6 +317,49 @@ def test_our_warnings_are_one_line_without_a_source_file(scene, capsys):
     shown = capsys.readouterr().err
     assert shown.startswith("sweepopt: warning: B u0 is not in C(0)")
     assert shown.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["run tub", "effects tub", "compare tub", "study mes"])
+def test_a_wrong_name_is_told_before_a_missing_package(command, monkeypatch, capsys):
+    for package in ("skfem", "matplotlib", "sweepopt.study"):
+        monkeypatch.setitem(sys.modules, package, None)
+    assert cli.main(command.split()) == 2
+    assert "did you mean " in capsys.readouterr().err
+
+
+def test_workers_of_a_study_are_counted_before_it_starts(capsys):
+    assert cli.main(["study", "hard", "--workers", "0"]) == 2
+    assert "--workers must be a positive whole number, got 0" in capsys.readouterr().err
+
+
+DISCS = """
+[domain]
+mesh = { sizes = [1.0, 1.0], cells = [2, 2] }
+kind = "plane stress"
+clamped = []
+[time]
+end = 1.0
+steps = 2
+[effects.dashpot]
+on = "body"
+eta = 1.0
+[[effects.friction]]
+on = "body"
+g = 0.3
+[[effects.friction]]
+on = "body"
+g = 0.2
+history = { waveform = "sine", amplitude = 0.5, period = 1.0, offset = 1.0 }
+[effects.body_force]
+f0 = [1.0, 0.5]
+history = { waveform = "sine", amplitude = 1.0, period = 1.0 }
+"""
+
+
+def test_a_bound_that_a_path_does_not_have_is_refused_before_the_run(scene, capsys):
+    scene.write_text(DISCS)
+    assert run("--path", "cones", "--bound") == 2
+    assert capsys.readouterr().err.endswith("or take path='full'\n")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What new users get wrong; what each of them reads is in data/refused.txt."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -161,6 +162,38 @@ def test_what_a_users_effect_raises_names_its_table(monkeypatch):
     assert caught.value.__notes__ == ["This was raised for effects.weak."]
 
 
+def own_name(x):
+    return nowhere * x[0]  # noqa: F821
+
+
+def test_what_a_function_in_an_effect_raises_names_the_effect_the_field_and_the_time():
+    mesh = so.fem.grid([1.0, 1.0], [2, 2])
+    for effect, words in (
+        (so.fem.Friction("right", own_name), ["raised for g", r"raised for effects\[1\]"]),
+        (so.fem.BodyForce(np.sin, own_name), ["raised for f0", r"raised for effects\[1\]"]),
+        (
+            so.fem.BodyForce(lambda t: own_name([t])),
+            [r"given for history, at t = 0", r"raised for effects\[1\]\.history"],
+        ),
+        (
+            so.fem.BodyForce(np.sin, lambda x, t: own_name(x) if t else x[0]),
+            ["raised for f0", r"given for load\(t\), at t = 0\."],
+        ),
+    ):
+        with pytest.raises(NameError, match="nowhere") as caught:
+            so.fem.antiplane(
+                mesh, clamped="left", effects=[so.fem.Viscosity(1.0), effect], t_end=1.0, steps=2
+            ).solve()
+        for note, pattern in zip(caught.value.__notes__, words, strict=True):
+            assert re.search(pattern, note)
+
+
+def test_a_dissipation_without_0_is_named_where_the_start_moves():
+    vi = so.EvolutionVI(0.5, 2.0, load=np.sin, dissipation=so.Box(1, 2), u0=0.0)
+    with pytest.warns(so.InitialStateWarning, match=r"a dissipation that contains 0, as so\.Box"):
+        run(vi)
+
+
 def test_a_dense_matrix_of_all_degrees_of_freedom_is_restricted_as_a_sparse_one():
     dense, sparse = (
         contributed(lambda body, form=form: so.fem.Contribution(B=body.restrict(form(9))))
@@ -257,11 +290,11 @@ def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work():
 
 
 def test_constraints_tell_their_price_and_what_to_use_instead():
-    linear = so.Constraints(2, lambda w: [w <= 1, w[0] + w[1] >= -1])
-    assert "0.1 s a step and no proof" in repr(linear)
-    assert "as these constraints are linear: so.Polyhedron" in repr(linear)
-    curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
-    assert "so.Ball" in repr(curved)
+    with pytest.warns(so.SweepoptWarning, match=r"100 ms, .* linear, as so\.Polyhedron"):
+        so.Constraints(2, lambda w: [w <= 1, w[0] + w[1] >= -1])
+    with pytest.warns(so.SweepoptWarning, match=r"100 ms, .* balls, .* as so\.Ball") as told:
+        curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
+    assert [one.filename for one in told] == [__file__]
     load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
     process = so.EvolutionVI(np.eye(2), None, load=load, dissipation=curved, u0=[0.0, 0.0])
     sol = run(process, steps=1)

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, count, vector
+from sweepopt.checks import at_path, choice, count, vector
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
@@ -68,6 +68,8 @@ class Yield(Brief):
         Bound of each block's force, per length, area or volume.
     histories : sequence of callable
         Functions of time that g is made of, as data: steps end at their breakpoints.
+    label : str
+        What errors put in front of g, such as "effects.friction."; a scene sets it.
     metric : ndarray, shape (m, block, block), or None
         Of ellipses: |x| is sqrt(<metric x, x>); None is the Euclidean norm.
     shape : {"ball", "half-line"}
@@ -89,6 +91,7 @@ class Yield(Brief):
     contact: Contact | None = None
     slip: SlipLaw | None = None
     histories: Sequence[Callable[[float], Any]] = ()
+    label: str = ""
 
     def check(self, start: float) -> None:
         """Refuse numbers, at the start, that do not belong to these rows, as users write them."""
@@ -99,21 +102,24 @@ class Yield(Brief):
         if rest:
             raise InputError(f"rows.E has {rows.E.shape[0]} rows, no blocks of {rows.block}")
         g = self.g(start) if callable(self.g) else self.g
-        sizes = blocks if np.ndim(g) else None, blocks
-        for name, given, size in zip(("g", "rows.weight"), (g, rows.weight), sizes, strict=True):
-            values = vector(name, given, size, finite=False)
-            if (values < 0).any():
-                raise InputError(f"{name} must be >= 0, got {values.min():g}")
+        _require_bounds(self.factors, vector("g", g, blocks if np.ndim(g) else None, finite=False))
+        _require_bounds("rows.weight", vector("rows.weight", rows.weight, blocks))
 
     def at(self, t: float, u: Array | None = None) -> Array:
         """Radii w_k g_k at a time and a state, the unslipped one if there is none, shape (m,)."""
-        radii = self.rows.weight * (self.g(t) if callable(self.g) else self.g)
-        if callable(self.g) and (radii < 0).any():
-            raise InputError(f"g or its history makes a bound of forces negative at t = {t:g}")
+        with at_path(self.label):
+            g = self.g(t) if callable(self.g) else self.g
+            _require_bounds(self.factors, g)
+        radii = self.rows.weight * g
         if self.slip is None or u is None:
             return radii
         moved = (self.rows.E @ u).reshape(-1, self.rows.block)
         return radii * self.slip(np.linalg.norm(moved, axis=1))
+
+    @property
+    def factors(self) -> str:
+        """What errors call g."""
+        return "g times its history" if self.histories else "g"
 
     def sizes(self, forces: Array) -> Array:
         """Those of forces in the norms whose balls are the D_k, signed of one row, shape (m,)."""
@@ -131,6 +137,12 @@ class Yield(Brief):
             slopes = slopes * np.sqrt(np.linalg.eigvalsh(self.metric)[:, -1])
         E = self.rows.E
         return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
+
+
+def _require_bounds(name: str, values: Any) -> None:
+    """Refuse negative bounds of forces."""
+    if np.min(values) < 0:
+        raise InputError(f"{name} must be >= 0, got {np.min(values):g}; give it an offset")
 
 
 def by_history(

@@ -130,9 +130,7 @@ class Formula:
         try:
             self.tree = ast.parse(text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise InputError(
-                f"must be a number or a formula such as 1 + 2*x**2, got {shown(text)}"
-            ) from error
+            raise self._refusal() from error
         self.names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         unknown = self.names - {*DIRECTIONS, *FUNCTIONS, "t", "pi"}
         if unknown:
@@ -148,7 +146,13 @@ class Formula:
             with np.errstate(all="ignore"):  # what is no finite number is refused by who asks
                 return self._value(self.tree, np.asarray(x, dtype=float), t)
         except (TypeError, OverflowError) as error:
-            raise InputError(f"must be a number or a formula, got {shown(self.text)}") from error
+            raise self._refusal() from error
+
+    def _refusal(self) -> InputError:
+        power = "; a power is x**2" if "^" in self.text else ""
+        return InputError(
+            f"must be a number or a formula such as 1 + 2*x**2, got {shown(self.text)}{power}"
+        )
 
     def _value(self, node: Any, x: Array, t: float) -> Any:
         match node:
@@ -168,7 +172,7 @@ class Formula:
                 name in FUNCTIONS and len(args) == FUNCTIONS[name].nin
             ):
                 return FUNCTIONS[name](*(self._value(one, x, t) for one in args))
-        raise InputError(f"must be a number or a formula, got {shown(self.text)}")
+        raise self._refusal()
 
 
 parsed = lru_cache(Formula)
@@ -285,12 +289,12 @@ class Coefficient(NamedTuple):
             )
         function: Any = parsed(datum) if isinstance(datum, str) else datum
         try:
-            if callable(function):
-                function = function(x, t) if moves else function(x)
-            values[:] = np.asarray(function, dtype=float)
-        except InputError as error:
-            dot = " " if isinstance(datum, str) else "."
-            raise InputError(f"{self.name}{dot}{error}") from error
+            with at_path(f"{self.name} " if isinstance(datum, str) else f"{self.name}."):
+                if callable(function):
+                    function = function(x, t) if moves else function(x)
+                values[:] = np.asarray(function, dtype=float)
+        except InputError:
+            raise
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"{self.name} must turn points x of shape (d, ...) into numbers of shape (...), as "
@@ -299,6 +303,11 @@ class Coefficient(NamedTuple):
         limits = self
         if isinstance(datum, str):  # one that divides by 0 does not mean inf
             limits = self._replace(name=f"{self.name}, {shown(datum)},", finite=True)
+        if moves and self.minimum is not None and values.min() < self.minimum:
+            raise InputError(
+                f"{limits.name} must be >= {self.minimum:g}, got {values.min():g} at t = {t:g}; "
+                f"end the run before, or write maximum({self.minimum:g}, ...)"
+            )
         for extreme in (values.min(), values.max()):
             limits.check(extreme)
         return values

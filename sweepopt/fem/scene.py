@@ -45,12 +45,12 @@ from sweepopt.fem.initial import Initial
 from sweepopt.fem.spaces import BODY, Discretisation, boundary_names
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, folder_at
-from sweepopt.linalg import is_semidefinite
+from sweepopt.linalg import require_semidefinite
 from sweepopt.loads import History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent, Summands
-from sweepopt.velocity import solvers
+from sweepopt.velocity import PATHS, solvers
 
 UNITS = ("dimensionless", "SI")
 
@@ -72,7 +72,7 @@ class Scene(Displayed):
         A sentence for each thing the scene does not name and the problem therefore does not have.
     t_end, steps
         Duration, and number of steps or their times; None if the scene does not say.
-    scheme, solver, tol
+    scheme, solver, tol, path
         Arguments of `sweepopt.solve`.
     units : {"dimensionless", "SI"}
     title : str
@@ -100,6 +100,7 @@ class Scene(Displayed):
     scheme: str = "auto"
     solver: str = "auto"
     tol: float = 1e-6
+    path: str = "auto"
     units: str = "dimensionless"
     title: str = ""
     pictures: Sequence[str] = ()
@@ -226,7 +227,7 @@ class Scene(Displayed):
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
         from sweepopt.driver import solve
 
-        names = ("t_end", "steps", "scheme", "solver", "tol")
+        names = ("t_end", "steps", "scheme", "solver", "tol", "path")
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}
         return solve(self.problem, **(settings | changes))
 
@@ -398,11 +399,14 @@ def body(
     return build(space, labelled, u0, settings | method(scheme, solver, tol))
 
 
-def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dict[str, Any]:
-    """Arguments of `sweepopt.solve`; a scheme or a solver that is not known is refused."""
+def method(
+    scheme: str = "auto", solver: str = "auto", tol: float = 1e-6, path: str = "auto"
+) -> dict[str, Any]:
+    """Arguments of `sweepopt.solve`; a name that is not known is refused."""
     schemes.choose(scheme, coercive=True)
     solvers.choose(solver, Point([0.0]))
-    return {"scheme": scheme, "solver": solver, "tol": tolerance("tol", tol)}
+    choice("path", path, PATHS)
+    return {"scheme": scheme, "solver": solver, "tol": tolerance("tol", tol), "path": path}
 
 
 def build(
@@ -492,11 +496,12 @@ def _blaming(labels: Iterable[str], parts: Sequence[Contribution]) -> Iterator[N
     """Name the effect of an indefinite matrix where a check of the sums fails."""
     try:
         yield
-    except InputError as error:
+    except InputError:
         for label, part in zip(labels, parts, strict=True):
             for name in "AB":
-                if (M := getattr(part, name)) is not None and not is_semidefinite(M):
-                    raise type(error)(f"{label}: its {name} has a negative eigenvalue") from error
+                if (M := getattr(part, name)) is not None:
+                    with at_path(f"{label}: its "):
+                        require_semidefinite(name, M)
         raise
 
 
@@ -578,18 +583,16 @@ def _contribution(
     if not (own or label.startswith("effects.")):
         label = f"{type(effect).__name__}: {label}"
     with at_path(f"{label}."):
-        part = _valid_contribution(
-            result_of(effect.contribute, space, f"{label}.contribute"), space
-        )
+        part = _valid_contribution(effect.contribute(space), space, own)
     if (history := getattr(effect, "history", None)) is not None and t_end is not None:
-        with at_path(f"{label}.history."):
+        with at_path(f"{label}.history: "):
             for t in (space.start, t_end):
-                history(t)
-    return part
+                result_of(history, t, "history")
+    return replace(part, yields=[replace(one, label=f"{label}.") for one in part.yields])
 
 
-def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
-    """What an effect gives, if it is finite and fits the body; a user may have written it."""
+def _valid_contribution(part: Any, space: Discretisation, own: bool) -> Contribution:
+    """What an effect, one of our own or a user's, gives, if it is finite and fits the body."""
     if not isinstance(part, Contribution):
         raise InputError(f"contribute must return a so.fem.Contribution, got {shown(part)}")
     dim = space.dim
@@ -619,7 +622,7 @@ def _valid_contribution(part: Any, space: Discretisation) -> Contribution:
     for k, one in enumerate(part.yields):
         if not (isinstance(one, Yield) and hasattr(one.rows, "E")):
             raise InputError(f"yields[{k}] must be a Yield of Rows, got {shown(one)}")
-        with at_path(f"yields[{k}]."):
+        with at_path("" if own else f"yields[{k}]."):
             fits("rows.E", matrix("rows.E", one.rows.E).shape[1])
             one.check(space.start)
     return part

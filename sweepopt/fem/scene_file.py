@@ -133,7 +133,7 @@ def read_scene(
         steps = 400
         [initial]                       # optional: the displacement at t = 0
         u = "0.1 * x"                   # or run = "../results/tube/solution.nc": its end
-        [solve]                         # optional: scheme, solver, tol of sweepopt.solve
+        [solve]                         # optional: scheme, solver, tol, path of sweepopt.solve
         [effects.viscosity]
         eta = { core = 1.0, sleeve = 0.2 }
         [effects.elasticity]

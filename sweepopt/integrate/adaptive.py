@@ -34,15 +34,8 @@ from sweepopt.loads import History, Sine, Triangle
 from sweepopt.problem import SweepingProcess, histories_of, squares
 
 STEPS = 1_000_000  # of the finest pass, or grid: hours, and 16 MB of states of one unknown
-FIRST = 16  # steps of the first pass, twice as many where nothing but values of the load are known
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # steps cut in this ratio fall into step with no period
 PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
-AIM = 0.7  # error that the next pass should have, in units of tol: estimates scatter by a third
-FARTHEST = 4.0  # times the steps of a pass to which its differences say where they are needed
-SWITCH = 1 / 12  # of h^(r+1) z^(r): error of a switch anywhere in a step, with a sign by chance
-PROGRAM_SHARE = 0.05  # of tol that residuals of programs, which no difference sees, may take
-EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
-AT_REST = 1e-200  # in the place of 0, so that all steps of a body at rest count alike
 ADVICE = (
     "does the load jump there? Give it as data (a Table has no jumps, and its breakpoints are "
     "met exactly) or loosen the tolerance"
@@ -72,7 +65,7 @@ def first_grid(
     stable = math.inf
     if scheme.explicit and process.B is not None and process.Lam > 0:
         stable = 1 / process.Lam
-    first = steps.first or end / (FIRST if known else 2 * FIRST)
+    first = steps.first or end / (16 if known else 32)
     longest = min(first, period / (2 * PER_PIECE), stable)
     if end / longest > STEPS:
         raise InputError(
@@ -133,7 +126,8 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
             common = np.isin(times, before.t, assume_unique=True)
             change = squares(process.metric.M, sol.u[common] - before.u).max()
             error = math.sqrt(max(change, 0.0)) * share / (1 - share)
-            error += SWITCH * math.sqrt((errors**2).sum())
+            # of switches anywhere in a step, with signs by chance
+            error += math.sqrt((errors**2).sum()) / 12
             this = this._replace(error=error)
         passes.append(this)
         sol = replace(sol, passes=tuple(passes))
@@ -141,13 +135,15 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
             return sol, ""
         speeds = np.maximum(squares(process.metric.M, sol.velocity), 0.0)
         length = float(sizes @ np.sqrt(speeds))
-        tol = max(PROGRAM_SHARE * steps.tol / length, EXACT) if length else tol
-        goal = AIM * steps.tol / error
+        # a share for residuals of programs, which no difference sees; all programs reach 1e-9
+        tol = max(0.05 * steps.tol / length, 1e-9) if length else tol
+        goal = 0.7 * steps.tol / error  # estimates scatter by a third
         density = float(leading ** (1 / (r + 1)) @ sizes)
         wanted = density * (density / (errors.sum() * goal)) ** (1 / r) if goal else 0.0
         if cause := _failure(steps.tol, EPS * length, wanted, passes):
             return sol, cause
-        share = min(max(goal, FARTHEST**-r), 2.0**-r)  # twice the steps, at least
+        # two to four times the steps: farther its differences do not say where they are needed
+        share = min(max(goal, 4.0**-r), 2.0**-r)
         times = _refined(sol.t, leading, r, share * float(errors.sum()))
         h = np.diff(times)
         if h.min() < shortest:
@@ -188,7 +184,7 @@ def _leading(process: SweepingProcess, sol: Any) -> Array:
     for k in range(1, r + 1):
         slopes = k * np.diff(slopes, axis=0) / (middle[k:] - middle[:-k])[:, None]
     squared = np.pad(squares(process.metric.M, slopes), (1, r - 1), "edge")
-    leading = np.sqrt(np.maximum(squared, AT_REST))
+    leading = np.sqrt(np.maximum(squared, 1e-200))  # all steps of a body at rest count alike
     mean = np.average(leading ** (1 / (r + 1)), weights=np.diff(sol.t))
     return leading + mean ** (r + 1)
 

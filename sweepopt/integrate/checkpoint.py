@@ -52,9 +52,6 @@ if TYPE_CHECKING:
     from sweepopt.integrate.record import Grid, Run
 
 SCHEMA = 6  # of the file: one more for each change of what it holds
-WRITES = 100  # of a run, at whose ends it may be written down if nobody says how many steps
-SECONDS = 10.0  # between two files, if nobody says how many
-SAMPLES = 256  # times at which functions of time are compared
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,7 @@ class Checkpoint:
     def __post_init__(self) -> None:
         if self.steps is not None:
             object.__setattr__(self, "steps", count("steps", self.steps))
-        pause = self.seconds if self.seconds is not None else 0.0 if self.steps else SECONDS
+        pause = self.seconds if self.seconds is not None else 0.0 if self.steps else 10.0
         object.__setattr__(self, "seconds", number("seconds", pause, minimum=0.0))
         writable("path", self.path)
 
@@ -296,7 +293,7 @@ class CheckpointWriter:
         if run.done == 1:
             self._records()  # says so now if they cannot be stored
         last = run.done == run.steps
-        if run.done % (self.checkpoint.steps or -(-run.steps // WRITES)) and not last:
+        if run.done % (self.checkpoint.steps or -(-run.steps // 100)) and not last:
             return False
         if last or clock.monotonic() - self.written >= (self.checkpoint.seconds or 0.0):
             self._write(run, self.checkpoint.previous)
@@ -357,9 +354,9 @@ def _require_free(checkpoint: Checkpoint) -> None:
 def fingerprint(process: SweepingProcess, times: Array) -> dict[str, str]:
     """sha256 of A, B, u0 and C(t), part by part, so that one can say which part differs.
 
-    Of C(t) the data; a function of time is compared by its values at up to SAMPLES of the times.
+    Of C(t) the data; a function of time is compared by its values at up to 256 of the times.
     """
-    some = times[evenly(len(times), SAMPLES)].tolist()
+    some = times[evenly(len(times), 256)].tolist()
     moving = motion(process.C)
     scales, sets = zip(*moving.summands or [(ONE, None)], strict=True)
     loads = [load for load in (moving.center, *scales, moving.offsets) if load is not None]

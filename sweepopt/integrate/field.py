@@ -163,8 +163,6 @@ def compatible_start(process: SweepingProcess | EvolutionVI, t: float = 0.0) -> 
 
 # ---- as a program of cvxpy ----------------------------------------------------------------------
 
-TOL = 1e-9  # of the stages before the one that is asked for: as good as `solve` mostly is
-
 
 def step_program(
     process: SweepingProcess | EvolutionVI,
@@ -234,7 +232,7 @@ def program_of_stage(
     own, solved = u, stage + bool(contraction)  # the state of a set that depends on it
     if solved:
         members = process.check(t + mu * np.unique(tableau.c[:solved]))
-        plan = make_plan(process, members, tableau, "auto", TOL)
+        plan = make_plan(process, members, tableau, "auto", 1e-9)  # as good as `solve` mostly is
         plan = replace(plan, reduction=None, contraction=contraction)
         first = replace(tableau, a=tableau.a[:solved], c=tableau.c[:solved])
         stages = Velocities(process, plan).stages(first, t, mu, u)

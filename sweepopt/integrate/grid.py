@@ -19,17 +19,8 @@ MOST = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""
 CONTRACTS = 0.8
 """By no more than this: a fixed point has ten digits after 100 iterations then."""
-HALVINGS = 50
-"""Of a step, to look for one that is short enough: down to rounding."""
 FADES = 0.25
 """A larger share of an error that comes back lasts for steps: sdirk2's is 0.21 at most."""
-DENSE = 40  # breakpoints of a history from which on those between its turns are not met
-ROUGH = 0.5
-"""Breakpoints in a step, on average, above which they are not met: a run with as many takes 3.4
-times as long (200 boxes, 200 steps); no smaller share was tried."""
-LARGE, OF_LARGE = 500, 0.1
-"""Unknowns of a matrix from which on the same is OF_LARGE: a new matrix takes as long as 13 steps
-(992 unknowns) to 30 (10,100), and with 0.2 a finer grid of as long a run had the smaller error."""
 
 
 def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
@@ -77,7 +68,7 @@ def divided(times: Array, parts: int) -> Array:
 
 
 def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> Array:
-    """Those that steps shall meet, increasing: of a dense table only those where it turns.
+    """Those that steps shall meet, increasing: of more than 40 of a table only where it turns.
 
     A sine in a table of 3,000 points took 18,006 adaptive steps with all of them, and 499 so
     (tol = 1e-2); in one of 30 points 236, and 536 so.
@@ -85,7 +76,7 @@ def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> Array:
     points = []
     for history in histories:
         points.append(breakpoints([history], a, b))
-        if len(points[-1]) > DENSE and isinstance(history, History):
+        if len(points[-1]) > 40 and isinstance(history, History):
             points[-1] = history.turning_points(a, b)
     return np.unique(np.concatenate([np.empty(0), *points]))
 
@@ -94,14 +85,18 @@ def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: Array) -> P
     """The plan for these times with the breakpoints of the load in steps, unless they are too many.
 
     One at a node up to rounding is in no step. C(t) is checked at the others, too.
+
+    With one in two steps, on average, a run takes 3.4 times as long (200 boxes, 200 steps). Of 500
+    unknowns on a new matrix takes as long as 13 steps (992 of them) to 30 (10,100): of those one in
+    ten steps is the most, as with 0.2 a finer grid of as long a run had the smaller error.
     """
     points = breakpoints_to_meet(histories_of(process.C), times[0], times[-1])
     slack = TIME_SLACK * np.abs(times).max()
     points = points[np.diff(points, prepend=-np.inf) > slack]
     after = np.clip(np.searchsorted(times, points), 1, len(times) - 1)
     points = points[np.minimum(points - times[after - 1], times[after] - points) > slack]
-    large = plan.entering > LARGE and process.B is not None
-    most = int((OF_LARGE if large else ROUGH) * (len(times) - 1))
+    large = plan.entering > 500 and process.B is not None
+    most = int((0.1 if large else 0.5) * (len(times) - 1))
     if points.size > most:
         reason = f"breakpoints of the load: {points.size} inside of steps, over {most} are not met"
         return replace(plan, left_out=(*plan.left_out, reason))
@@ -167,7 +162,7 @@ def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
     theta = process.contraction(gamma)
     if theta <= CONTRACTS:
         return theta
-    halved = ((mu / 2**k, process.contraction(gamma / 2**k)) for k in range(1, HALVINGS))
+    halved = ((mu / 2**k, process.contraction(gamma / 2**k)) for k in range(1, 50))
     shorter = (size for size, contracts in halved if contracts <= CONTRACTS)
     remedy = next(
         (f"take steps of at most {size:.3g}" for size in shorter),

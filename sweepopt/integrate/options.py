@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import MEMORY, Array, choice, meaning, number, tolerance
+from sweepopt.checks import MEMORY, Array, at_path, choice, meaning, number, tolerance
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.grid import (
     contraction,
@@ -122,7 +122,8 @@ class SolveOptions:
         """How the process is simulated; C(t) is checked at all times that are asked for."""
         for history in histories_of(process.C, inside=False):
             if isinstance(history, Table):
-                history(times[[0, -1]])  # outside of the table there is none
+                with at_path(f"{shown(history)}: "):  # outside of the table there is none
+                    history(times[[0, -1]])
         members = process.check(evaluation_times(times, mus, scheme))
         plan = make_plan(process, members, scheme, self.solver, self.tol, self.path)
         plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))

@@ -38,7 +38,7 @@ LIMIT = 200_000  # unknowns that CHOLMOD is faster for
 # in the order it is given: L D L^T, or where L is dense enough by CHOLMOD's count L L^T in blocks
 SETTINGS = {"supernodal": 1, "nmethods": 1, "postorder": False}
 IN_BLOCKS = SETTINGS | {"supernodal": 2}  # which alone refuses what is not positive definite
-WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and D
+SYSTEMS = {"M": 0, "L": 4, "L^T": 5, "D": 6}  # CHOLMOD's numbers of its equations
 _settings_lock = threading.Lock()
 
 
@@ -133,7 +133,7 @@ class InBlocks:
         self._triangle.V = matrix(data)
         with _settings(IN_BLOCKS):
             cholmod.numeric(self._triangle, self._factor)
-        return partial(_system, self._factor, WHOLE)
+        return partial(_system, self._factor, "M")
 
 
 @cache
@@ -168,17 +168,17 @@ def cholmod(M: Matrix, order: Array | None, m: int) -> Cholesky:
         tail = np.array(matrix(cholmod.getfactor(factor_in_order())[-m:, -m:]))
     factor = factor_in_order()
     system = partial(_system, factor)
-    D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
+    D, place = 1 / system("D", np.ones(len(order))), np.argsort(order)
     root, pivots = np.sqrt(np.abs(D)), D
     with suppress(ValueError):  # raised for L D L^T
         pivots = np.ravel(cholmod.diag(factor)) ** 2
     np.fill_diagonal(tail, (np.sqrt(np.abs(pivots)) / root)[len(order) - m :])
     return Cholesky(
         pivots[place],
-        lambda w: system(WHOLE, w),
+        lambda w: system("M", w),
         order,
-        lambda w: system(LOWER, w[order]) / root,
-        lambda y: system(UPPER, y / root)[place],
+        lambda w: system("L", w[order]) / root,
+        lambda y: system("L^T", y / root)[place],
         tail * root[len(order) - m :],
     )
 
@@ -199,12 +199,12 @@ def _settings(ours: dict[str, Any]) -> Iterator[None]:
             cholmod.options.update(before)
 
 
-def _system(factor: Any, which: int, w: Array) -> Array:
-    """The solution of one of CHOLMOD's systems of equations."""
+def _system(factor: Any, matrix_of: str, w: Array) -> Array:
+    """The solution of one of CHOLMOD's SYSTEMS."""
     from cvxopt import cholmod, matrix
 
     x = matrix(np.asarray(w, dtype=float))
-    cholmod.solve(factor, x, sys=which)
+    cholmod.solve(factor, x, sys=SYSTEMS[matrix_of])
     return np.asarray(x).reshape(w.shape)
 
 

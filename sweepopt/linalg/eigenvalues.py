@@ -107,3 +107,30 @@ def is_semidefinite(M: Matrix) -> bool:
     except IndefiniteError:
         return False
     return True
+
+
+def require_semidefinite(name: str, M: Matrix) -> None:
+    """Refuse a symmetric matrix that is not positive semidefinite up to rounding.
+
+    Raises
+    ------
+    IndefiniteError
+        Naming a negative entry of the diagonal, or one that is too large beside it, if there is.
+    """
+    if is_semidefinite(M):
+        return
+    diagonal, entry = M.diagonal(), sp.coo_array(M)
+    i, j = entry.coords
+    products = diagonal[i] * diagonal[j]
+    k, least = int(np.argmax(entry.data**2 - products)), int(diagonal.argmin())
+    fault = "it has a negative eigenvalue"
+    if diagonal[least] < 0:
+        fault = f"{name}[{least}, {least}] = {diagonal[least]:g}"
+    elif entry.data[k] ** 2 > products[k]:
+        fault = (
+            f"{name}[{i[k]}, {j[k]}] = {entry.data[k]:g} is larger than the geometric mean "
+            f"{math.sqrt(products[k]):g} of {name}[{i[k]}, {i[k]}] and {name}[{j[k]}, {j[k]}]"
+        )
+    raise IndefiniteError(
+        f"{name} must be positive semidefinite, but {fault}; check the signs of what it is made of"
+    )

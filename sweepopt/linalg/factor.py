@@ -31,7 +31,6 @@ from sweepopt.linalg.matrices import (
 from sweepopt.linalg.ordering import is_solid
 from sweepopt.linalg.twice_precision import Precise
 
-MEMORY_SHARE = 0.6  # of the physical memory, for factors: the rest is for mesh, states and Python
 NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
 
 
@@ -277,7 +276,7 @@ def _engine(
         An order of the unknowns with little fill; the kept ones go to its end.
     """
     need, there = factor_bytes(M), _physical_memory()
-    if need > MEMORY_SHARE * there:
+    if need > 0.6 * there:  # the rest is for mesh, states and Python
         try:
             return ConjugateGradients(M, kept)
         except MissingExtraError as error:

@@ -15,7 +15,6 @@ from sweepopt.checks import Array, Matrix
 EPS = float(np.finfo(float).eps)
 UNIT = 0.5 * EPS  # unit roundoff: the largest relative error of one operation
 PIVOT = 16 * EPS  # in units of the diagonal: a smaller pivot of a matrix is none
-SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
 
 
 class Reduced(NamedTuple):
@@ -84,7 +83,7 @@ def lanczos_start(dim: int) -> Array:
 
 def largest_eigenvalue(product: Callable[[Array], Array], dim: int, tol: float = 0.0) -> float:
     """The largest eigenvalue of the symmetric matrix of these products."""
-    if dim < SMALL:
+    if dim < 50:  # cheaper than Lanczos
         return float(np.linalg.eigvalsh(np.array([product(e) for e in np.eye(dim)]))[-1])
     matrix = spla.LinearOperator((dim, dim), matvec=product, dtype=float)
     start = lanczos_start(dim)

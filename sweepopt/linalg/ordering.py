@@ -22,14 +22,13 @@ import scipy.sparse.csgraph as csgraph
 from sweepopt.checks import Array, Matrix
 
 PIECE = 200  # unknowns that AMD orders; with 100 or 500 factors are as small to 5 %
-THICK = 2.2  # of sqrt(n) unknowns, of levels on average: 0.9 to 1.9 in the plane
 
 
 def is_solid(M: Matrix) -> bool:
     """Whether levels of a search in a sparse M's graph are as large as those of a body in space.
 
-    They are from 6,000 unknowns on in that block; of fewer both orders serve. The largest component
-    decides.
+    They are from 6,000 unknowns on in that block; of fewer both orders serve. In the plane levels
+    have 0.9 to 1.9 times sqrt(n) unknowns on average. The largest component decides.
     """
     if M.shape[0] <= PIECE:
         return False
@@ -37,7 +36,7 @@ def is_solid(M: Matrix) -> bool:
     component = _components(graph)
     body = np.flatnonzero(component == np.bincount(component).argmax())
     n = body.size
-    return n > PIECE and n > THICK * math.sqrt(n) * (1 + _levels(graph[body][:, body]).max())
+    return n > PIECE and n > 2.2 * math.sqrt(n) * (1 + _levels(graph[body][:, body]).max())
 
 
 def fill_reducing(M: Matrix) -> Array:

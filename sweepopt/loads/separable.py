@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import entries, instant
+from sweepopt.checks import at_path, entries, instant
 from sweepopt.errors import InputError, result_of, shown
 from sweepopt.loads.history import Array, History, NoArithmetic, breakpoints
 
@@ -83,19 +83,24 @@ class Separable(NoArithmetic):
         table = np.empty((len(times), len(self.terms)))
         for k, (history, _) in enumerate(self.terms):
             if isinstance(history, History):  # takes all times at once
-                table[:, k] = history(times)
+                with at_path(f"terms[{k}][0]: "):
+                    table[:, k] = history(times)
             else:
                 table[:, k] = [self.value(k, t) for t in times.tolist()]
         return table
 
     def value(self, k: int, t: float) -> float:
         """phi_k(t)."""
-        value = result_of(self.terms[k][0], t, f"terms[{k}][0]")
+        name = f"terms[{k}][0]"
+        try:
+            value = result_of(self.terms[k][0], t, name)
+        except InputError as error:  # a table that is too short
+            raise type(error)(f"{name}: {error}") from error
         try:
             return instant("phi", value)
         except InputError as error:
             raise InputError(
-                f"terms[{k}][0] is {shown(value)} at t = {t:g}; it must be one finite number"
+                f"{name} is {shown(value)} at t = {t:g}; it must be one finite number"
             ) from error
 
     def at_many(self, times: Array) -> Array:

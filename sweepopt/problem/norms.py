@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Array
+from sweepopt.checks import Array, Matrix
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, largest_ratio
 
@@ -23,18 +23,67 @@ The bound of n steps grows by a share of 2e-3 sqrt(n) at most (by 0.2 % on a fau
 unknowns); that of fretting takes 7 times as long as the run, and 10 times with all solves."""
 
 
+class Norm:
+    """|x|_M of a symmetric positive semidefinite M, and the dual |w|_{M^-1}, many vectors at once.
+
+    Attributes
+    ----------
+    beta : float
+        |x|_M^2 >= beta |x|^2; 0 where no such number is proved.
+    """
+
+    def __init__(self, M: Matrix | None, factor: Factor | None) -> None:
+        self._M, self._factor = M, factor  # None for 0, and for a singular M
+        self.beta = 0.0 if factor is None else factor.smallest_eigenvalue
+
+    def __call__(self, x: Array) -> Array:
+        """|x|_M over the last axis."""
+        if self._M is None:
+            return np.zeros(x.shape[:-1])
+        return np.sqrt(np.maximum(squares(self._M, x), 0.0))
+
+    def dual(self, w: Array, beside: Any = 0.0) -> Array:
+        """|w|_{M^-1} over the last axis; where it is NEGLIGIBLE beside a number, a bound of it.
+
+        Infinite where M has no inverse.
+        """
+        return self.dual_products(w[..., None, :], beside).of_sum(np.eye(1))
+
+    def dual_products(self, w: Array, beside: Any) -> Products:
+        """<w_j, M^-1 w_k> of the rows of each w, shape (..., k, dim)."""
+        family = w.reshape(-1, *w.shape[-2:])
+        size = np.linalg.norm(family, axis=-1)
+        scale = 1 / math.sqrt(self.beta) if self.beta else math.inf
+        with np.errstate(invalid="ignore"):
+            rest = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
+        known = np.array(np.broadcast_to(beside, w.shape[:-2]), dtype=float).ravel()
+        solved = np.zeros_like(family)
+        if self._factor is not None:
+            for k in np.argsort(-rest, axis=1).T:  # the largest of each family first
+                i = np.flatnonzero(rest[np.arange(len(k)), k] > NEGLIGIBLE * known)
+                if not len(i):
+                    break
+                at = i, k[i]
+                solved[at], rest[at] = self._factor.solve_many(family[at]), 0.0
+                squared = (family[at] * solved[at]).sum(axis=1)
+                known[i] = np.maximum(known[i], np.sqrt(np.maximum(squared, 0.0)))
+        counted = np.where((rest == 0)[:, :, None], family, 0.0)
+        products = counted @ np.swapaxes(solved, 1, 2)
+        shape = w.shape[:-1]
+        return Products(products.reshape(*shape, shape[-1]), rest.reshape(shape))
+
+
 class Norms:
-    """The norms of a process, many vectors at once, and how errors in them grow.
+    """The norms of a process, and how errors in them grow.
 
     Attributes
     ----------
     weak : bool
         Whether A is singular, so that B takes its place; B must then be positive definite.
-    beta : float
-        |x|_A^2 >= beta |x|^2; 0 where no such number is proved.
+    A, B : Norm
     coercivity : float
-        tau for which w = P_C(A v' + B v - tau v') makes 2 G + |r|^2 / beta least: beta, at least
-        2 G + |r|^2 in the dual norm of A; 0 where A is singular.
+        tau for which w = P_C(A v' + B v - tau v') makes 2 G + |r|^2 / beta least: beta of A, at
+        least 2 G + |r|^2 in the dual norm of A; 0 where A is singular.
     lam, Lam : float
         Below and above all eigenvalues of A^-1 B; 0 where A is singular; Lam is inf if nothing is
         proved.
@@ -42,48 +91,21 @@ class Norms:
 
     def __init__(self, process: SweepingProcess) -> None:
         B, self.weak = process.B, not process.coercive
-        self._B, self._weak = B, process.metric if process.metric.M is B else None
-        if B is not None and self._weak is None:
+        factor = process.metric if process.metric.M is B else None
+        if B is not None and factor is None:
             with suppress(InputError):  # of a singular one
-                self._weak = Factor(B, "B")
-        metric = self._weak if self.weak else process.metric
+                factor = Factor(B, "B")
+        metric = factor if self.weak else process.metric
         if metric is None:
             raise InputError(
                 "error bounds need A or B to be positive definite, here both are singular; compare "
                 "with a run of twice the steps"
             )
-        self._metric, self.beta = metric, metric.smallest_eigenvalue
-        self.coercivity = 0.0 if self.weak else self.beta
+        self.A, self.B = Norm(metric.M, metric), Norm(B, factor)
+        self.coercivity = 0.0 if self.weak else self.A.beta
         self.lam, self.Lam = 0.0, 0.0 if self.weak else process.Lam
-        if not (self.weak or self._weak is None):
-            self.lam = math.nextafter(1 / largest_ratio(self._weak, process.A), 0.0)
-        self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue
-
-    def A(self, x: Array) -> Array:
-        """|x|_A (of B where A is singular), over the last axis."""
-        return np.sqrt(np.maximum(squares(self._metric.M, x), 0.0))
-
-    def B(self, x: Array) -> Array:
-        """|x|_B over the last axis."""
-        if self._B is None:
-            return np.zeros(x.shape[:-1])
-        return np.sqrt(np.maximum(squares(self._B, x), 0.0))
-
-    def dual(self, w: Array, beside: Any = 0.0) -> Array:
-        """|w|_{A^-1} over the last axis; where it is NEGLIGIBLE beside a number, a bound of it."""
-        return _norm(self.dual_products(w[..., None, :], beside))
-
-    def dual_B(self, w: Array, beside: Any = 0.0) -> Array:
-        """|w|_{B^-1} over the last axis, likewise; infinite where B has no inverse."""
-        return _norm(self.dual_products_B(w[..., None, :], beside))
-
-    def dual_products(self, w: Array, beside: Any) -> Products:
-        """<w_j, A^-1 w_k> of the rows of each w, shape (..., k, dim)."""
-        return _products(self._metric, self.beta, w, beside)
-
-    def dual_products_B(self, w: Array, beside: Any) -> Products:
-        """<w_j, B^-1 w_k>, likewise; infinite where B has no inverse."""
-        return _products(self._weak, self.beta_B, w, beside)
+        if not (self.weak or factor is None):
+            self.lam = math.nextafter(1 / largest_ratio(factor, process.A), 0.0)
 
     def growth(self, tau: Array) -> Array:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""
@@ -113,34 +135,6 @@ class Products(NamedTuple):
         squared = ((weights.T @ weights) * self.products).sum(axis=(-2, -1))
         rest: Array = self.rest @ np.linalg.norm(weights, axis=0)
         return np.sqrt(np.maximum(squared, 0.0)) + rest
-
-
-def _norm(of_one: Products) -> Array:
-    return of_one.of_sum(np.eye(1))
-
-
-def _products(metric: Factor | None, beta: float, w: Array, beside: Any) -> Products:
-    """Those of families w, shape (..., k, dim), where <Mx, x> >= beta |x|^2."""
-    family = w.reshape(-1, *w.shape[-2:])
-    size = np.linalg.norm(family, axis=-1)
-    scale = 1 / math.sqrt(beta) if beta else math.inf
-    with np.errstate(invalid="ignore"):
-        rest = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
-    known = np.array(np.broadcast_to(beside, w.shape[:-2]), dtype=float).ravel()
-    solved = np.zeros_like(family)
-    if metric is not None:
-        for k in np.argsort(-rest, axis=1).T:  # the largest of each family first
-            i = np.flatnonzero(rest[np.arange(len(k)), k] > NEGLIGIBLE * known)
-            if not len(i):
-                break
-            at = i, k[i]
-            solved[at], rest[at] = metric.solve_many(family[at]), 0.0
-            squared = (family[at] * solved[at]).sum(axis=1)
-            known[i] = np.maximum(known[i], np.sqrt(np.maximum(squared, 0.0)))
-    counted = np.where((rest == 0)[:, :, None], family, 0.0)
-    products = counted @ np.swapaxes(solved, 1, 2)
-    shape = w.shape[:-1]
-    return Products(products.reshape(*shape, shape[-1]), rest.reshape(shape))
 
 
 def applied(M: Any, x: Array) -> Array:

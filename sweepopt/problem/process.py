@@ -41,7 +41,7 @@ from sweepopt.errors import (
     shown,
     warn,
 )
-from sweepopt.linalg import EPS, Factor, is_semidefinite, kernel, largest_ratio
+from sweepopt.linalg import EPS, Factor, kernel, largest_ratio, require_semidefinite
 from sweepopt.problem.motion import Variation, jumps, variation
 from sweepopt.sets import (
     AnySet,
@@ -141,7 +141,8 @@ class SweepingProcess(Displayed):
         if not isinstance(C, (ConvexSet, MovingSet)):
             raise InputError(
                 f"C must be a set or a moving set, got {shown(C)}; an interval is so.Box(-1, 1), "
-                "one that moves so.Moving(so.Box(-1, 1), center=f), any other so.MovingSet(t -> C)"
+                "one that moves so.Moving(so.Box(-1, 1), center=f), and any C(t) that a function "
+                "returns so.MovingSet(function)"
             )
         self.u0 = entries("u0", u0)
         agree(**sizes, C=C.dim, u0=self.u0.size)
@@ -161,18 +162,15 @@ class SweepingProcess(Displayed):
                 " a bounded C(t) holds only up to its faces, so give a little of it for an element "
                 "that shall have none"
             )
-        if self.B is not None and not is_semidefinite(self.B):
-            raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
+        if self.B is not None:
+            require_semidefinite("B", self.B)
         self.time_scale = 0.0
         try:
             self.metric = Factor(self.A, "A")
         except IndefiniteError:
+            require_semidefinite("A", self.A)
             if self.B is None:
                 raise
-            if not is_semidefinite(self.A):
-                i, least = int(self.A.diagonal().argmin()), float(self.A.diagonal().min())
-                found = f"A[{i}, {i}] = {least:g}" if least < 0 else "it has a negative eigenvalue"
-                raise IndefiniteError(f"A must be positive semidefinite, but {found}") from None
             self._set_weak_metric(self.B)
         self.coercive = self.time_scale == 0.0
 
@@ -365,9 +363,13 @@ class SweepingProcess(Displayed):
                     f"{where}. A is 0 on its kernel, and no solution starts there: change u0, to "
                     "so.compatible_start(process) for example"
                 )
+        remedy = "loads and prescribed motions that begin slowly"
+        D = getattr(self, "dissipation", None)
+        if D is not None and not D.contains(np.zeros(self.dim)):
+            remedy = "a dissipation that contains 0, as so.Box(-g, g) for a friction bound g"
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give a "
-            f"u0 with B u0 in C({t:g}), or loads and prescribed motions that begin slowly",
+            f"u0 with B u0 in C({t:g}), or {remedy}",
             InitialStateWarning,
         )
         return True

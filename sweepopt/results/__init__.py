@@ -11,5 +11,5 @@ from sweepopt.results.dataset import (
     solver_name,
 )
 from sweepopt.results.energy import Energy
-from sweepopt.results.error_bound import ErrorBound
+from sweepopt.results.error_bound import ErrorBound, require_bound
 from sweepopt.results.solution import Pass, Solution

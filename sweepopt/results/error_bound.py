@@ -162,7 +162,7 @@ def error_bound(
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
-    if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
+    if norms.A.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
@@ -199,17 +199,32 @@ def error_bound(
     return ErrorBound.make(reason, run.t, A, B, lower)
 
 
-def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
-    """Which of WORK, whether one curve v is tried, and whether w is one of programs' points."""
+def require_bound(process: SweepingProcess, plan: Plan) -> None:
+    """Refuse a run whose error no bound is known of.
+
+    Raises
+    ------
+    InputError
+        If C depends on the state.
+    PathError
+        If path "cones" would need projections that are slow.
+    """
+    process.refuse_state("error_bound")
     moving = motion(process.C)
-    sets = [S for _, S in moving.summands]
     is_data = all(scale.function is None for scale, _ in moving.summands)
-    if plan.cones and not (sets and is_data and moving.disjoint):
+    if plan.cones and not (moving.summands and is_data and moving.disjoint):
         raise PathError(
             "error_bound needs projections that take seconds each for path='cones', where C(t) is "
             "a function, or a sum on the same unknowns: give it as data, such as so.Separable, "
             "or take path='full'"
         )
+
+
+def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
+    """Which of WORK, whether one curve v is tried, and whether w is one of programs' points."""
+    moving = motion(process.C)
+    sets = [S for _, S in moving.summands]
+    is_data = all(scale.function is None for scale, _ in moving.summands)
     large = plan.contact is not None and process.dim > LARGE
     sharp = all(S.sharp_gaps for S in sets)
     exact = moving.disjoint and all(S.exact for S in sets)
@@ -222,9 +237,9 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
     """A bound of |u(t)|_A on [a, b]: |u|_A falls where |u|_B > sup |w|_{B^-1}, w in C (MATH 4)."""
     moving = motion(process.C)
     lam = 1.0 if process.rate_independent else norms.lam  # at A = 0, B u = w
-    if not moving.summands or lam == 0 or norms.beta_B == 0:
+    if not moving.summands or lam == 0 or norms.B.beta == 0:
         return math.inf
-    center = sum(phi * float(norms.dual_B(f)) for phi, f in moving.center.largest(a, b))
+    center = sum(phi * float(norms.B.dual(f)) for phi, f in moving.center.largest(a, b))
     sets: Any = moving.summands
     if moving.offsets is not None:
         h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
@@ -235,7 +250,7 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
     for scale, S in sets:
         most = sum(phi * float(np.abs(f).max()) for phi, f in scale.largest(a, b))
         size += most * S.magnitude()
-    w = center + size / math.sqrt(norms.beta_B)
+    w = center + size / math.sqrt(norms.B.beta)
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
 
 
@@ -327,7 +342,7 @@ def _variation(norms: Norms, each: Residuals, curve: Array, weak: Array) -> Arra
     begin, end = (np.where(weak[:, None], r, 0.0) for r in (begin, end))
     before = np.concatenate([np.zeros_like(end[:1]), end[:-1]])
     known = np.sqrt(each.gaps[curve, np.arange(len(curve))])
-    jumps = norms.dual_B(begin - before, known) + error + np.append(0.0, error[:-1])
+    jumps = norms.B.dual(begin - before, known) + error + np.append(0.0, error[:-1])
     return np.array([np.cumsum(turning + jumps), np.maximum.accumulate(size)])
 
 

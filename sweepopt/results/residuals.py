@@ -286,7 +286,7 @@ def _bounds(
     gaps, squares, turning, size, begin, end, error = of_all
     first = np.searchsorted(step, np.arange(len(nodes.velocity)))
     cuts = np.setdiff1d(np.arange(1, len(step)), first)  # inside of steps, where r may jump
-    jumps = norms.dual_B(begin[:, cuts] - end[:, cuts - 1])
+    jumps = norms.B.dual(begin[:, cuts] - end[:, cuts - 1])
     turning[:, cuts] += jumps + error[:, cuts] + error[:, cuts - 1]
     gaps, squares, turning = (np.add.reduceat(x, first, axis=1) for x in (gaps, squares, turning))
     last = np.append(first[1:], len(step)) - 1
@@ -322,7 +322,7 @@ def _on_intervals(
         w, gaps = np.zeros_like(force), moved
         unknown: list[Any] = [None] * len(scales)
         points = model.members or unknown
-        error, error_B, turning = _of_terms(center, terms)
+        error, error_B, turning = _of_interpolation(center, center.slope_error, terms)
         for (f, shapes), scale, of_S in zip(model.summands, scales, points, strict=True):
             s = None
             if of_S is not None:
@@ -334,18 +334,21 @@ def _on_intervals(
             )
             w, gaps, moved = w + of_w, gaps + gap, moved + distance
             if scale.error.any():
-                more = _of_scale(norms, f, s, scale)
+                curves = np.stack([size * s for _, size in f.terms], axis=2)
+                sizes = [norm.dual(curves).max(axis=1) for norm in (norms.A, norms.B)]
+                # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
+                more = _of_interpolation(scale, scale.slope_error + 6 * scale.error, sizes)
                 error, error_B, turning = error + more[0], error_B + more[1], turning + more[2]
-        error = error + moved / math.sqrt(norms.beta)
+        error = error + moved / math.sqrt(norms.A.beta)
     else:
         ((_, (S,)),) = model.summands
         w, gaps = _within_rows(S, model.motion.offsets, aim, directions, offsets)
     r = TO_LOBATTO @ (force - w)
     squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
-        of_r = norms.dual_products(r, np.sqrt(2 * gaps))
+        of_r = norms.A.dual_products(r, np.sqrt(2 * gaps))
         squares = length * (of_r.of_sum(MEAN_SQUARE) + error) ** 2
-    of_r = norms.dual_products_B(r[stiff], np.sqrt(2 * length * gaps)[stiff])
+    of_r = norms.B.dual_products(r[stiff], np.sqrt(2 * length * gaps)[stiff])
     varies[stiff] = of_r.of_sum(SLOPES)
     # |r - its mean|^2 <= int |r'|^2 / 3
     size[stiff] = of_r.of_sum(MEAN) + varies[stiff] / math.sqrt(3)
@@ -383,7 +386,7 @@ def _within_shape(
     least[vanishing] = most[vanishing]
     most += np.divide(most * error, least, out=error, where=least > error)
     largest = most.max(axis=1)
-    ratios = np.where(may_move, largest**2 / norms.beta, np.inf)
+    ratios = np.where(may_move, largest**2 / norms.A.beta, np.inf)
     gaps, moved = _each(shapes, _gaps, directions * most[:, None], s, ratios).T
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
     gaps, moved = gaps + 2 * speed * distance, largest * moved + distance
@@ -419,29 +422,20 @@ def _within_rows(
 
 def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[Array]:
     """The vectors of a center(t) in both dual norms; what a function varies is Euclidean."""
-    roots = np.sqrt([norms.beta, norms.beta_B])
+    both = norms.A, norms.B
     if not center.terms:
-        return [np.array([1 / root if root else math.inf]) for root in roots]
+        return [np.array([1 / math.sqrt(one.beta) if one.beta else math.inf]) for one in both]
     vectors = np.array([f for _, f in center.terms])
-    return [norms.dual(vectors), norms.dual_B(vectors)]
+    return [one.dual(vectors) for one in both]
 
 
-def _of_terms(center: Interpolated, terms: list[Array]) -> list[Array]:
-    """What an interpolated center adds to |r|, in both dual norms, and to int |r'| in that of B."""
-    pairs = (center.error, terms[0]), (center.error, terms[1]), (center.slope_error, terms[1])
-    return [np.where(e > 0, e * sizes, 0.0).sum(axis=1) for e, sizes in pairs]
+def _of_interpolation(of: Interpolated, slopes: Array, sizes: list[Array]) -> list[Array]:
+    """What the errors of a function with vectors of these sizes add to |r|, in both dual norms.
 
-
-def _of_scale(norms: Norms, f: TimeFunction, s: Array, scale: Interpolated) -> list[Array]:
-    """What an interpolated scale of a curve s adds, likewise."""
-    each, each_B = (
-        np.array([norm(size * s).max(axis=1) for _, size in f.terms]).T
-        for norm in (norms.dual, norms.dual_B)
-    )
-    # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
-    varies = scale.slope_error + 6 * scale.error
-    pairs = (scale.error, each), (scale.error, each_B), (varies, each_B)
-    return [(e * sizes).sum(axis=1) for e, sizes in pairs]
+    And to int |r'| in that of B, where the derivative is wrong by `slopes`.
+    """
+    pairs = (of.error, sizes[0]), (of.error, sizes[1]), (slopes, sizes[1])
+    return [np.where(e > 0, e * size, 0.0).sum(axis=1) for e, size in pairs]
 
 
 def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Array:

@@ -39,7 +39,7 @@ from sweepopt.io import put, writable
 from sweepopt.problem import SweepingProcess, sweeping
 from sweepopt.results.dataset import STATISTICS, netcdf_bytes, open_run, to_xarray
 from sweepopt.results.energy import Energy, energy_of
-from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
+from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of, require_bound
 from sweepopt.results.interpolation import Nodes
 from sweepopt.velocity import Plan, StepProgram, VelocityOf, compile_projection, make_plan
 
@@ -464,7 +464,7 @@ class Solution(Displayed):
         return self._bound_with(None)
 
     def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
-        self.process.refuse_state("error_bound")
+        require_bound(self.process, self.plan)
         if self.complete:
             run = Nodes(self.t, self.u, self.velocity)
         elif self.loaded:

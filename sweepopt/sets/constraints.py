@@ -23,7 +23,14 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import lsmr
 
 from sweepopt.checks import Array, dimension
-from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
+from sweepopt.errors import (
+    EmptySetError,
+    InputError,
+    SweepoptError,
+    SweepoptWarning,
+    shown,
+    warn,
+)
 from sweepopt.sets.base import ConvexSet, Features
 from sweepopt.sets.programs import in_turn, normal_by_program, support_by_program
 
@@ -36,8 +43,8 @@ WEIGHT = 2.0**-8  # of an entry of h beside one of G and H: small, as h moves an
 class Constraints(ConvexSet):
     """{ w : the cvxpy constraints that `build(w)` returns }, for sets the shapes do not cover.
 
-    They are read once, in conic form, with the values that parameters have
-    then. A step takes about 0.1 s, and no solver's answer can be proved: a run ends with the status
+    They are read once, in conic form, with the values that parameters have then. A step of scheme
+    "auto" takes about 0.1 s, and no solver's answer can be proved: a run ends with the status
     "uncertified" and is as accurate as Clarabel is, about 5 digits. Linear constraints are better
     given as a `Polyhedron`, balls and ellipsoids as `Ball` and `Ellipsoid`, what is made of these
     by `C & D`, `C + D` and `image`: these prove their answers.
@@ -58,6 +65,11 @@ class Constraints(ConvexSet):
     EmptySetError
         From `project`, `support` and `require_nonempty`, if no w satisfies them.
 
+    Warns
+    -----
+    SweepoptWarning
+        Always: what a step costs, and which sets to take where they do.
+
     Examples
     --------
     >>> import cvxpy as cp
@@ -68,14 +80,6 @@ class Constraints(ConvexSet):
 
     certifiable = exact = False
     fixed = ("G", "H")
-
-    def __repr__(self) -> str:
-        better = (
-            "for balls, ellipsoids and linear constraints: so.Ball, so.Ellipsoid, so.Polyhedron"
-        )
-        if {block.kind for block in self.cones} <= {"zero", "nonneg"}:
-            better = "as these constraints are linear: so.Polyhedron(G, h)"
-        return f"{super().__repr__()}: 0.1 s a step and no proof; faster and proved {better}"
 
     @in_turn
     def __init__(self, dim: int, build: Any) -> None:
@@ -100,6 +104,14 @@ class Constraints(ConvexSet):
         if not all(np.isfinite(numbers).all() for numbers in (form.h, form.G.data, form.H.data)):
             raise InputError("the constraints of build(w) hold a number that is not finite")
         self.offsets, self.G, self.H, self.cones = in_own_units(form)
+        better = "balls, ellipsoids or linear constraints as so.Ball, so.Ellipsoid, so.Polyhedron"
+        if {block.kind for block in self.cones} <= {"zero", "nonneg"}:
+            better = "these constraints, as they are linear, as so.Polyhedron(G, h)"
+        warn(
+            "Constraints: a step takes about 100 ms, and no answer can be proved; give "
+            f"{better}, whose steps are proved and take 2 to 10 ms",
+            SweepoptWarning,
+        )
 
     def support(self, z: Array) -> float:
         value = support_by_program(self, z)

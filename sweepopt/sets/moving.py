@@ -15,7 +15,7 @@ import numpy as np
 
 from sweepopt.checks import Array, dimension, instant, number, symmetric, takes, vector
 from sweepopt.errors import EmptySetError, InputError, result_of, shown
-from sweepopt.linalg import is_semidefinite
+from sweepopt.linalg import require_semidefinite
 from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
 from sweepopt.sets.base import ConvexSet, Operators
@@ -79,7 +79,7 @@ class MovingSet(Operators):
         histories: Sequence[Callable[[float], Any]] = (),
     ) -> None:
         if not callable(at):
-            raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
+            raise InputError(f"at must be a function of t that returns a set, got {shown(at)}")
         if dim is None:  # else it is made in every step
             takes("at", at, "t")
         if not isinstance(histories, (list, tuple)) or not all(map(callable, histories)):
@@ -201,7 +201,7 @@ class Moving(MovingSet):
         if not isinstance(shape, ConvexSet):
             raise InputError(
                 f"shape must be a set that does not move, got {shown(shape)}; it comes before "
-                "center and scale, and a function t -> set is so.MovingSet(function)"
+                "center and scale, and a function of t that returns a set is so.MovingSet(function)"
             )
         self.shape, self.dim = shape, shape.dim
         if callable(center):
@@ -336,8 +336,7 @@ class StateDependent(MovingSet):
     ) -> None:
         takes("at", at, "t", "u")
         self.lipschitz = symmetric("lipschitz", lipschitz)
-        if abs(self.lipschitz).max() and not is_semidefinite(self.lipschitz):
-            raise InputError("lipschitz must be positive semidefinite; it has an eigenvalue < 0")
+        require_semidefinite("lipschitz", self.lipschitz)
         super().__init__(at, self.lipschitz.shape[0], histories)
 
     def of(self, u: Array) -> StateDependent:

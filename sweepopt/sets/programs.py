@@ -161,4 +161,7 @@ def solve_tightly(problem: cp.Problem) -> None:
         try:
             problem.solve(solver=cp.CLARABEL, **TIGHT)
         except cp.SolverError as error:
-            raise SweepoptError(f"Clarabel failed on a side program: {error}") from error
+            raise SweepoptError(
+                f"Clarabel failed on a projection or a support function: {error}; state the set by "
+                "other shapes, or with numbers nearer to 1"
+            ) from error

@@ -32,8 +32,6 @@ THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
 TOL = 1e-8  # of the fine run's programs: a hundredth of the default of a study
-SAFETY = 20.0
-"""How far below an error the reference's own error must lie for the error to be a number."""
 
 
 class Cell(NamedTuple):
@@ -157,11 +155,11 @@ class Reference(NamedTuple):
     message: str = ""
 
     def error(self, process: SweepingProcess, u: Array) -> float:
-        """The error of states on the nodes; nan if the reference's own is not far below."""
+        """The error of states on the nodes; nan if the reference's own is not 20 times less."""
         if len(u) != len(self.u):
             return nan
         error = largest_norm(process, u - self.u)
-        return error if error >= SAFETY * self.uncertainty else nan
+        return error if error >= 20 * self.uncertainty else nan
 
 
 @lru_cache(8)

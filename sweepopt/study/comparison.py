@@ -43,8 +43,6 @@ FORMAT: dict[str, Any] = {"index": False, "na_rep": "-", "float_format": "{:.3g}
 ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
 CVXPY = read_toml(Path(__file__).with_suffix(".toml"))
 """Names of the tolerances, and limits, of the solvers of cvxpy."""
-SHIFT = 1e-3
-"""Seconds: means are of log(time + SHIFT), so that what takes no time does not decide them."""
 LEGEND = """\
 solved   share of programs with a relative certificate within the accuracy
 ms       shifted geometric mean; unsolved programs count with the longest time of all
@@ -175,15 +173,17 @@ def trials(solver: Solver, programs: Sequence[Program]) -> list[Trial]:
     return results
 
 
-def shifted_mean(seconds: Any) -> float:
-    """The shifted geometric mean exp(mean log(x + SHIFT)) - SHIFT.
+def shifted_mean(seconds: Any, shift: float = 1e-3) -> float:
+    """The shifted geometric mean exp(mean log(x + shift)) - shift.
+
+    What takes no time does not decide it.
 
     Examples
     --------
     >>> round(shifted_mean([1e-3, 3e-3]), 6)
     0.001828
     """
-    return float(np.exp(np.log(np.asarray(seconds) + SHIFT).mean()) - SHIFT)
+    return float(np.exp(np.log(np.asarray(seconds) + shift).mean()) - shift)
 
 
 def comparison_text(table: DataFrame) -> str:

@@ -45,15 +45,21 @@ class Problem:
 
     def process(self) -> SweepingProcess:
         """The process, built anew."""
-        terms = []
-        for term in self.load:
-            (history, arguments), (_, direction) = term.items()
-            terms.append((getattr(loads, history)(*arguments), direction))
-        ((kind, arguments),) = self.set.items()
-        shape, load = getattr(sets, kind), loads.Separable(terms)
-        fixed = kind != "Polyhedron"
-        C = sets.Moving(shape(*arguments), load) if fixed else shape(*arguments, load)
+        load = loads.Separable(
+            (made(loads, {history: arguments}), direction)
+            for (history, arguments), (_, direction) in map(dict.items, self.load)
+        )
+        if "Polyhedron" in self.set:
+            C = made(sets, {"Polyhedron": [*self.set["Polyhedron"], load]})
+        else:
+            C = sets.Moving(made(sets, self.set), load)
         return SweepingProcess(self.A, self.B, C, self.u0)
+
+
+def made(room: Any, entry: dict[str, Any], *given: Any) -> Any:
+    """What a room's function of that name makes of what is given and of its arguments in a file."""
+    ((name, arguments),) = entry.items()
+    return getattr(room, name)(*given, *arguments)
 
 
 PROBLEMS = {name: Problem(name, **data) for name, data in read_toml(FILE).items()}

@@ -41,9 +41,6 @@ AXES = {
 }
 """What makes a run more accurate: a column of the table, and whether by smaller values."""
 SETTINGS = ("problem", "scheme", "solver", *(column for column, _ in AXES.values()))
-NOTABLE = 0.9  # of the error of faster runs: what is less by less is no reason for a row
-MUCH = 100.0
-"""Times the time for half the error: an axis that takes more is not the one to go along."""
 
 
 def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
@@ -105,7 +102,7 @@ def halving(table: DataFrame) -> DataFrame:
     pandas DataFrame
         A row a run, with its columns, one for each axis in `AXES` called "more steps"
         for example: the factor of the time, inf where the error hardly falls, nan where no next
-        run was measured; and `cheapest`, the axis of the least factor, "" if all are above MUCH.
+        run was measured; and `cheapest`, the axis of the least factor, "" if all are above 100.
     """
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
     factors = {}
@@ -120,9 +117,9 @@ def halving(table: DataFrame) -> DataFrame:
         factors[words] = np.exp2((rise / fall).where(~(fall <= rise / 100), np.inf))
     cells = known.assign(**factors)
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
-    best = cells[cells.error < NOTABLE * faster].sort_values("problem", kind="stable")
+    best = cells[cells.error < 0.9 * faster].sort_values("problem", kind="stable")
     possible = best[list(AXES)].fillna(np.inf)
-    cheapest = possible.idxmin(axis="columns").where(possible.min(axis="columns") <= MUCH, "")
+    cheapest = possible.idxmin(axis="columns").where(possible.min(axis="columns") <= 100, "")
     return best.assign(cheapest=cheapest)
 
 

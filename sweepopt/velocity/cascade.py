@@ -44,12 +44,6 @@ from sweepopt.velocity.certificate import (
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers import NEWTON, Answer, Small, Solve, Solver, choose
 
-WRONG = 1e-3
-"""An uncertified pair that misses M z + q = w by a larger share of the forces is no answer.
-
-Right ones miss it by about TOL of a solver, 1e-8. DAQP gave velocities of 1e15 beside the right
-force in half-spaces, with which error bounds were up to 1e27 times the error (11 of 906 random
-processes)."""
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 AnswerOf = Callable[[Array, ConvexSet], Answer]
 Propose = Callable[[Array, Array | None], Proposal]
@@ -208,6 +202,11 @@ class Cascade:
 
     Where no solver does it is the best. A solver is compiled when it is asked first.
 
+    Without a proof a pair that misses M z + q = w by a thousandth of the forces is no answer; right
+    ones miss it by about a solver's tol, 1e-8. DAQP gave velocities of 1e15 beside the right force
+    in half-spaces, with which error bounds were up to 1e27 times the error (11 of 906 random
+    processes).
+
     Parameters
     ----------
     inclusion : Inclusion
@@ -263,7 +262,7 @@ class Cascade:
             for attempt in self._attempts:
                 pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
                 residual = inclusion.M.M.dot(pair.z) + of.force - pair.w
-                most = WRONG**2 * (of.force.dot(of.force) + pair.w.dot(pair.w))
+                most = 1e-6 * (of.force.dot(of.force) + pair.w.dot(pair.w))
                 known = pair.gap < math.inf and residual.dot(residual) <= most
                 if known or math.isnan(pair.gap):
                     w = pair.w + of.c if pair.gap < math.inf else None

@@ -36,7 +36,6 @@ from sweepopt.sets import ROUNDING, Box, ConvexSet
 
 CLOSED_FORM = "closed form"  # who finds a velocity that a formula gives
 SHARE = 0.1  # of the tolerance, for rounding that is bounded and not looked at more closely
-SUMS = 1e-9  # more than what a sum of a million squares rounds
 
 
 class Velocity(NamedTuple):
@@ -101,8 +100,8 @@ class Instance(NamedTuple):
         squares = self.q.dot(self.q) + self.c.dot(self.c) + shifts.dot(shifts)
         most = 3 * ROUNDING * math.sqrt(squares)  # of the length of what `is_rounding` allows
         few, size = self.force[self.unknowns], self.force.dot(self.force)
-        # what S does not act on, or S itself
-        if size - few.dot(few) > most**2 + SUMS * size or self.S.is_beyond(few, most):
+        # what S does not act on, or S itself; a sum of a million squares rounds less than 1e-9
+        if size - few.dot(few) > most**2 + 1e-9 * size or self.S.is_beyond(few, most):
             return False
         outside = self.force - self.projection(self.force)
         return euclidean(outside) <= most and self.is_rounding(outside)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 VelocityOf = Callable[[Array, ConvexSet], Velocity]
 EVERY: Any = slice(None)
-DEFAULT_TOL = 1e-6  # what is aimed at where every answer is welcome (tol = inf)
 
 
 def compile_velocity(process: SweepingProcess, plan: Plan, gamma: float) -> StateVelocity:
@@ -80,7 +79,7 @@ class StateVelocity:
         none = np.zeros(0, dtype=int)
         self._plan, self._contact = plan, none if plan.contact is None else plan.contact
         self._on_condensed: Inclusion | None = None
-        self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
+        self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
         self.forget()
 
     def forget(self) -> None:

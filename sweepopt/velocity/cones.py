@@ -24,9 +24,6 @@ from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
 from sweepopt.velocity.energies import Energy, Local, State
 
-STIFFNESS = 1e6  # sigma of the first round, in units of M as E sees it: a plug creeps 1e-6 of g/M
-STIFFER = 100.0  # in each round: the certificate falls tenfold, with 10 it stalls at 2e-6
-
 
 class Rows(NamedTuple):
     """The blocks of E.
@@ -108,9 +105,11 @@ class Cones:
         base, start = z, np.zeros(dim)
         if base is None:
             base, start = start, self._z
-            self._sigma, self._size = STIFFNESS * self._weights, self._M.dual_norm(residual)
+            # in units of M as E sees it: a plug creeps 1e-6 of g / M
+            self._sigma, self._size = 1e6 * self._weights, self._M.dual_norm(residual)
         else:
-            self._sigma = STIFFER * self._sigma
+            # the certificate falls tenfold, with a factor of 10 it stalls at 2e-6
+            self._sigma = 100 * self._sigma
         sigma, s0 = self._sigma, in_balls(self._s, g)
         rates_base = self._rates(base)
         before = 0 * s0, s0, np.zeros((1, 1, 1))

@@ -34,7 +34,6 @@ PATHS = {
 }
 
 Members = Sequence[tuple[float, ConvexSet]]  # times, and C(t) at them
-FINEST = 1e-7  # tolerance of cones: the root of twice what sum g |E_k z| rounds, 6e-8 of its root
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,7 +245,8 @@ def _has_cones(
         return False
     diagonal = all(is_diagonal(M) for M in (process.A, process.B) if M is not None)
     formula = diagonal and all(S.exact for S in sets)
-    if path == "auto" and (size <= most or formula or tol < FINEST):
+    # gaps are known to the root of twice what sum g |E_k z| rounds, 6e-8 of its root
+    if path == "auto" and (size <= most or formula or tol < 1e-7):
         return False
     return bool(sets) and all(blocks(S) is not None for S in sets)
 

@@ -41,8 +41,6 @@ from sweepopt.linalg import EPS, dense
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
 from sweepopt.sets import NoHalfspacesError, facets, least_distance, parallel_rows
 
-FAST = 1e-2  # of the largest lam
-
 
 def modes(SA: Array, SB: Array) -> tuple[Array, Array]:
     """lam >= 0 and V with V^T SA V = 1, V^T SB V = diag(lam).
@@ -64,7 +62,7 @@ def modes(SA: Array, SB: Array) -> tuple[Array, Array]:
     V = scipy.linalg.solve_triangular(lower, U, lower=True, trans=1)
     if rank == n:
         # of a slow mode root^T V = W sigma knows the small entries, by which fast forces pull
-        slow = lam < FAST * lam[0]
+        slow = lam < 1e-2 * lam[0]
         other = scipy.linalg.solve_triangular(
             root[order], (W * sigma)[:, slow], trans=1, lower=True
         )
@@ -87,7 +85,6 @@ def _root(SB: Array) -> tuple[Array, Array]:
 NONSMOOTH = 50  # unknowns in a set's inequalities
 SAME = 1e-14  # unit rows, which are products here, and their sides that differ by less are equal
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
-FACES = 1000  # whose modes are kept: 20 MB where 50 rows are active
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +125,12 @@ class Rows:
 
     @cached_property
     def modes(self) -> Callable[[tuple[int, ...]], tuple[Array, Array]]:
-        """lam and V of a face (`modes`): a periodic motion comes to the same faces again."""
+        """lam and V of a face (`modes`): a periodic motion comes to the same faces again.
+
+        Those of a thousand faces are 20 MB where 50 rows are active.
+        """
         both = self.S, self.SB
-        return lru_cache(FACES)(lambda active: modes(*(M[np.ix_(active, active)] for M in both)))
+        return lru_cache(1000)(lambda active: modes(*(M[np.ix_(active, active)] for M in both)))
 
 
 @at_path("scheme 'exact' does not apply: ")
@@ -231,9 +231,6 @@ def _distinct(R: Array, weights: Array, equations: Array) -> tuple[Array, Array]
 # ---- which of them hold just after a time ---------------------------------------------------
 
 ZERO = 256 * EPS  # of the terms: a coefficient that is smaller is rounding of their sums
-ORDERS = 8  # a row undecided by them is taken for redundant
-SOON = 1e-6  # after t in units of the process: which of several rows through a corner hold there
-SPANNED = 1e-10  # a unit row is dependent on others if less of it is outside of their span
 
 
 class Face(NamedTuple):
@@ -277,14 +274,16 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: boo
         d, size = next(_taylor(rows, phi, t))
         undecided &= d - NB @ u <= ZERO * (size + np.abs(NB) @ np.abs(u))
         NB, phi = 0 * NB, phi.derivative()
-    for k, (d, size) in zip(range(ORDERS + 1), _taylor(rows, phi, t), strict=False):
+    # a row that eight orders leave undecided is taken for redundant
+    for k, (d, size) in zip(range(9), _taylor(rows, phi, t), strict=False):
         s = d - NB @ u
         noise = ZERO * (size + np.abs(NB) @ np.abs(u)) + rounding
         basis = _basis(rows, active, undecided, s, noise)
         if basis is None and first is not None:  # a redundant row becomes violated
             undecided[active] = ~rows.equations[active]
             sizes = np.abs(first).max(), np.abs(s).max()
-            soon = first + SOON * (sizes[0] / sizes[1] if sizes[0] else 1.0) * s
+            # which of several rows through a corner hold soon after t, in units of the process
+            soon = first + 1e-6 * (sizes[0] / sizes[1] if sizes[0] else 1.0) * s
             active = _basis(rows, rows.fixed, undecided, soon, noise) or active
             undecided[active] = False
             basis = _basis(rows, active, undecided, s, noise)
@@ -334,7 +333,7 @@ def _basis(
         k = len(active)
         x = Q[:, :k] @ scipy.linalg.solve_triangular(T[:k], s[active], trans=1)
         G, slack, noise_of = G @ Q[:, k:], slack - G @ x, noise_of + noise[active].max()
-        free = np.linalg.norm(G, axis=1) > SPANNED
+        free = np.linalg.norm(G, axis=1) > 1e-10  # unit rows that are not in the others' span
         if (slack < -noise_of)[~free].any():
             return None
         others, G, slack, noise_of = others[free], G[free], slack[free], noise_of[free]

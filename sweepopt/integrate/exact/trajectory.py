@@ -27,8 +27,6 @@ from sweepopt.velocity import Plan, Velocity, certify_point
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
 PHASES = 100_000  # a minute, with one unknown
 
-SAME = 32 * EPS  # of a time: an event that is nearer to a breakpoint is there, but for rounding
-
 
 @dataclass(frozen=True, eq=False)
 class Phase:
@@ -148,8 +146,8 @@ def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase
             if again and stalled:  # the same face from the same time: so are all that follow
                 return
             before, following = active, s + length
-            if b - following <= SAME * abs(b):
-                following = b
+            if b - following <= 32 * EPS * abs(b):
+                following = b  # but for rounding
             u = motion(following - s)
             if following > s:
                 yield Phase(s, following, motion, switch)
@@ -185,10 +183,6 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
     return motion, first_root(p.with_weights(signs[changing]), face.orders[changing])
 
 
-FLOOR = 0.01  # share of the largest forces so far that counts as the size of their sum
-LATE = 0.999  # of a phase: C may jump at its end
-
-
 def exact_steps(
     process: SweepingProcess, plan: Plan, run: Run
 ) -> Callable[[float, float, Array], Step | None]:
@@ -198,7 +192,7 @@ def exact_steps(
     The certificate is that of -u' in N_C(A u' + B u) at the end of the step, or late in a phase
     inside of it if it is worse there, from A, B and the set's own projection: u' solves the program
     of an implicit Euler step that ends in u, M = A + mu B and q = B (u - mu u'). B u and the load
-    may cancel: then it is compared to their sizes, not to that of their sum.
+    may cancel: then it is compared to a hundredth of their largest sizes so far.
 
     Raises
     ------
@@ -221,7 +215,7 @@ def exact_steps(
         if not (z.any() or C.normal(force).any()):
             return Velocity(z, 0.0, 0.0)  # at rest in C
         before = u - mu * z
-        velocity = certify_point(M, process.times_B(before), C, z, FLOOR * largest)
+        velocity = certify_point(M, process.times_B(before), C, z, 0.01 * largest)
         if plan.reduction is not None:
             velocity = plan.reduction.certified(mu, before, velocity)
         return velocity
@@ -238,7 +232,7 @@ def exact_steps(
         checked = [certified(mu, end, after, z)]
         for one in phases:
             if one.end < end:
-                late = one.start + LATE * (one.end - one.start)
+                late = one.start + 0.999 * (one.end - one.start)  # C may jump at its end
                 checked.append(certified(mu, late, one.state(late), one.velocity(late)))
         worst = max(checked, key=attrgetter("relative"))
         velocity = worst._replace(

@@ -18,8 +18,6 @@ from sweepopt.linalg import EPS, dense
 from sweepopt.sets import Balls, Box, ConvexSet, Polyhedron, shape_of
 from sweepopt.velocity import untranslated
 
-DIGITS = 80
-"""Of radii from 1 to 1e24 at condition 4e9, 60 left 4e-25 of the smallest: more than is enough."""
 STEPS = 500  # of a method that is finite or converges fast: this ends what is not
 NOISE = Decimal("1e-70")  # relative: of 80 digits, the rest is for what elimination adds
 ZERO = Decimal("1e-35")
@@ -33,8 +31,11 @@ ROUNDING = 16 * EPS
 
 @contextmanager
 def precise() -> Iterator[None]:
-    """All that is computed within has 80 digits; also a decorator."""
-    with localcontext(prec=DIGITS):
+    """All that is computed within has 80 digits; also a decorator.
+
+    Of radii from 1 to 1e24 at condition 4e9, 60 left 4e-25 of the smallest: more than is enough.
+    """
+    with localcontext(prec=80):
         yield
 
 

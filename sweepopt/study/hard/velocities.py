@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt import loads
 from sweepopt.checks import Array
 from sweepopt.io import read_toml
-from sweepopt.loads import Constant, Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Moving, image
@@ -23,12 +23,13 @@ from sweepopt.study.hard import bodies
 from sweepopt.study.hard.bodies import Random, between, chain, spectral
 from sweepopt.study.hard.exact import Exact, Program
 from sweepopt.study.hard.suite import TARGET, Judgement, run_case
+from sweepopt.study.problems import made
 
 Names = Sequence[str]
 
 EMPTY = "a strip that is missing by 1e-9"
 
-# ---- stiffness, histories ---------------------------------------------------------------------
+# ---- cases ------------------------------------------------------------------------------------
 
 STIFFNESS: dict[str, Callable[[Random, Array], Any]] = {
     "no B": lambda random, A: None,
@@ -45,32 +46,8 @@ STIFFNESS: dict[str, Callable[[Random, Array], Any]] = {
     "all of B 1e10": lambda random, A: 1e10 * chain(random, len(A)),
 }
 """B for a matrix A, or A and B in its place."""
-
-
-LONG = "500 steps, loads that change their signs"
-HISTORIES: dict[str, tuple[Any, ...]] = {
-    "one step": (1.0, 1, Constant()),
-    "four steps": (4.0, 4, np.sin),
-    "a load that stays": (4.0, 4, lambda t: min(t, 1.0)),
-    "a sine": (6.0, 12, np.sin),
-    "steps of 1e-10": (1e-9, 10, lambda t: 1 + t),
-    "steps of 10": (100.0, 10, np.sin),
-    "a load that jumps from 1e6 to 1e-6 and back": (6.0, 12, lambda t: 1e6 ** ((-1) ** int(t))),
-    "a load that rotates through zero": (
-        6.0,
-        12,
-        lambda t: np.sin(t - 0.5) * np.cos(t),
-        lambda t: np.sin(t - 0.5) * np.sin(t),
-    ),
-    "a corner of C(t) sweeps past": (6.0, 30, np.cos, lambda t: np.sin(2 * t)),
-    LONG: (10.0, 500, lambda t: (-1) ** int(t)),
-    "stick and slip at almost every step": (10.0, 200, lambda t: np.sin(40 * t)),
-}
-"""End, steps, and factors over time of loads that are drawn one by one."""
-
-# ---- cases ------------------------------------------------------------------------------------
-
-MATRICES, CONTACTS, LOADS, UNITS, FAMILIES = read_toml(Path(__file__).with_suffix(".toml")).values()
+DATA = read_toml(Path(__file__).with_suffix(".toml"))
+MATRICES, CONTACTS, LOADS, UNITS, HISTORIES, FAMILIES = DATA.values()
 TABLES = (MATRICES, CONTACTS, LOADS, UNITS, STIFFNESS, HISTORIES)
 
 
@@ -81,33 +58,29 @@ def entry_of(table: Mapping[str, Any], names: Names) -> Any:
 
 def make(names: Names, random: Random) -> SweepingProcess:
     """The process that these ingredients and a seed make."""
-    A = _draw(MATRICES, names, random)
+    A = made(bodies, entry_of(MATRICES, names), random)
     n = len(A)
-    few, part, edge, block = _draw(CONTACTS, names, random, n)
+    few, part, edge, block = made(bodies, entry_of(CONTACTS, names), random, n)
     length, force = entry_of(UNITS, names) or (2.0 ** random.integers(-40, 41, n), 1.0)
     units = length * np.ones(n)
     units[few] = np.repeat(units[few[::block]], block)
-    _, _, *factors = entry_of(HISTORIES, names)
-    loads = (_load(names, random, n, few, edge) for _ in factors)
-    terms = [(factor, force * units * load) for factor, load in zip(factors, loads, strict=True)]
+    _, _, start, *factors = entry_of(HISTORIES, names)
+    terms: list[Any] = [
+        (made(loads, factor), force * units * _load(names, random, n, few, edge))
+        for factor in factors
+    ]
     B = entry_of(STIFFNESS, names)(random, A)
     A, B = (
         M if M is None else force * np.outer(units, units) * M
         for M in (B if isinstance(B, tuple) else (A, B))
     )
-    # a long hold starts at an equilibrium that is not 0
-    u0 = random.normal(size=n) if LONG in names else np.zeros(n)
+    u0 = start * random.normal(size=n) if start else np.zeros(n)
     if B is not None:
-        terms.append((Constant(), B @ u0))
+        terms.append((loads.Constant(), B @ u0))
     C = part(force * units[few])
     if not np.array_equal(few, np.arange(n)):
         C = image(np.eye(n)[:, few], C)
-    return SweepingProcess(A, B, Moving(C, Separable(terms)), u0)
-
-
-def _draw(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
-    ((function, arguments),) = entry_of(table, names).items()
-    return getattr(bodies, function)(*given, *arguments)
+    return SweepingProcess(A, B, Moving(C, loads.Separable(terms)), u0)
 
 
 def _load(names: Names, random: Random, n: int, few: Array, edge: Any) -> Array:
@@ -123,13 +96,10 @@ def _load(names: Names, random: Random, n: int, few: Array, edge: Any) -> Array:
     return np.bincount(few, edge * (1 + beside), n)
 
 
-DRAWN = (7, 11, 4, 7, 8)
-"""From how many first entries of the tables but the last one combinations are drawn."""
-
-
 def combination(random: Random) -> Names:
     """A matrix, contact, load, units and stiffness, drawn by chance."""
-    tables = zip(TABLES, DRAWN, strict=False)
+    # from so many first entries of the tables but the last one
+    tables = zip(TABLES, (7, 11, 4, 7, 8), strict=False)
     names = [list(table)[random.integers(count)] for table, count in tables]
     if names[1:3] == ["a box", "another load"]:
         names[1] = "a box that names contacts twice"

@@ -38,7 +38,6 @@ from sweepopt.sets import (
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 INFINITE = 1e30  # what DAQP takes for no bound
-REFINEMENTS = 3  # of what L rounds: without them polyhedra beside jumps of 1e8 are not met
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,9 @@ class ActiveSet(Small):
             G, h = rows
             # C has points and M is positive definite: where that is not seen it is rounding
             with contextlib.suppress(EmptySetError, scipy.linalg.LinAlgError):
-                for _ in range(1 + REFINEMENTS):
+                # three refinements of what L rounds: without them polyhedra beside jumps of 1e8
+                # are not met
+                for _ in range(4):
                     L, rounding = lower(), ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(corrected))
                     shortest = least_distance(G @ L, h - G @ corrected, rounding)
                     if shortest is None:

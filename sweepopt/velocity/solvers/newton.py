@@ -25,11 +25,6 @@ from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_
 from sweepopt.velocity.energies import KEPT
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
-SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
-FAR = 1e-6  # of the forces: larger residuals need no twice the precision (half of all products)
-# a step with it leaves 1e-6 of the residual; with 1e-8 a hull in units from 1e-6 to 1e6 misses 1e-9
-NEARLY = 1 - 1e-6
-
 
 @dataclass(frozen=True)
 class Newton(Small):
@@ -125,14 +120,15 @@ class _Iteration:
                 v = w - T * z
                 residual = C.project(v) - w
                 size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
-                if size > FAR * forces:
+                if size > 1e-6 * forces:  # needs no twice the precision: half of all products
                     break
             rounding = EPS * forces
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled):
                 return z, True, iteration
-            if damped and size >= smallest and share > SHORTEST:
+            # discs across cells of stiffness 1 and 1e8 miss tol with steps of 1e-3 at least
+            if damped and size >= smallest and share > 1e-5:
                 share /= 2
                 z = start + share * change
                 continue
@@ -166,13 +162,14 @@ def _tangent(M: Matrix, D: list[Blocks], T: Array) -> Callable[..., Array]:
     """(z, residual) -> z + dz, 0 where D says that it sticks.
 
     The matrix for the others is M + T ((I - D)^-1 - I), which is symmetric; an eigenvalue 1 of D,
-    as projectors have it, counts as NEARLY 1.
+    as projectors have it, counts as 1 - 1e-6. A step with it leaves 1e-6 of the residual; with 1e-8
+    a hull in units from 1e-6 to 1e6 misses 1e-9.
     """
     J, free, inverses = M.copy(), np.zeros(len(T), dtype=bool), []
     for at, block in D:
         one = np.eye(block.shape[1])
         some = (block != one).any(axis=(1, 2))
-        at, inverse = at[some], np.linalg.inv(one - NEARLY * block[some])
+        at, inverse = at[some], np.linalg.inv(one - (1 - 1e-6) * block[some])
         free[at] = True
         inverses.append((at, inverse))
         rows, columns = at[:, :, None], at[:, None]
