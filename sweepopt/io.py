@@ -104,12 +104,12 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except ValueError as error:  # not TOML, or a number of thousands of digits
-        hint = ""
+        hint = "; text and formulas are in quotes, entries of { } and [ ] have commas between them"
         if found := re.search(r"declare \((.*)\) twice", str(error)):
             name = ".".join(re.findall(r"'(.+?)'", found[1]))
             hint = f"; put all keys under one [{name}], or write [[{name}]] above each of several"
         elif "overwrite" in str(error):
-            hint = "; this key is there twice: leave one out"
+            hint = "; it is there already: leave one out, or write [[...]] above each of several"
         raise InputError(f"{where}: is not TOML: {error}{hint}") from error
     except RecursionError as error:
         raise InputError(f"{where}: is not TOML: brackets within brackets without end") from error
@@ -156,9 +156,9 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
                 table[row] = [cell.strip() for cell in next(csv.reader([line]))]
             except csv.Error as error:  # a cell beyond the reader's limit
                 raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
-    if not table:
+    if len(table) < 2:
         raise InputError(
-            f"{path}: is empty; write the column names, t,{others[0]}, and a row for each time"
+            f"{path}: has no rows; write the column names, t,{others[0]}, and a row for each time"
         )
     header = table.pop(next(iter(table)))
     if time is None:
@@ -201,7 +201,7 @@ def _number(where: str, cell: str) -> float:
         # Python reads 1_0 as 10
         if "_" not in cell and math.isfinite(value := float(cell)):
             return value
-    raise InputError(f"{where}: {shown(cell)} is not a finite number")
+    raise InputError(f"{where}: {shown(cell)} is not a finite number; leave out rows without one")
 
 
 # ---- problems that come with the library: one scene or study a TOML file, its data beside it ----

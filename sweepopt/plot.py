@@ -163,7 +163,9 @@ def _components(solution: Solution, ax: Any) -> Any:
     stuck = solution.velocity[:, drawn] == 0.0
     draw_histories(ax, solution.t, solution.u[:, drawn], stuck, [f"u[{i}]" for i in drawn])
     dim = solution.u.shape[1]
-    title = f"{len(drawn)} of {dim} components" if dim > len(drawn) else None
+    title = None
+    if dim > len(drawn):
+        title = f"{len(drawn)} of {dim} unknowns, evenly\nfrom least to furthest moved"
     ax.legend(title=title, fontsize="small", ncols=1 + len(drawn) // 5)
     ax.set(xlabel="t", ylabel="u", xlim=solution.t[[0, -1]])
     return ax

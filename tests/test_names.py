@@ -65,7 +65,7 @@ def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone(package, extra):
         except AttributeError as error:
             print(error)
         from sweepopt.cli import main
-        main(["study", "no.toml"] if "{extra}" == "study" else ["run", "tube"])
+        main(["study", "mesh"] if "{extra}" == "study" else ["run", "tube"])
     """
     shown = python(code)
     for words in (shown.stdout, shown.stderr.removeprefix("sweepopt: ")):

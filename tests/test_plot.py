@@ -188,7 +188,7 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim, tmp_path):
         mine = [other for other in ax.lines if other.get_color() == line.get_color()]
         wide = [other for other in mine if other.get_linewidth() > 5]
         assert not stuck or 3 * stuck in [len(other.get_xdata()) for other in wide]
-    assert ("of 20 components" in ax.get_legend().get_title().get_text()) == (dim == 20)
+    assert ("of 20 unknowns" in ax.get_legend().get_title().get_text()) == (dim == 20)
 
 
 def test_a_legend_says_sticks_only_where_something_does():

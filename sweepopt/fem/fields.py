@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import at_path, choice, number
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.loads import check_points
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ class Formula:
             known = ", ".join([*DIRECTIONS, "t", "pi", *FUNCTIONS])
             raise InputError(
                 f"must be a number or a formula of {known}, got {shown(min(unknown))} "
-                f"in {shown(text)}"
+                f"in {shown(text)}{suggestion(min(unknown), known.split(', '))}"
             )
         self(np.ones((3, 1)))
 

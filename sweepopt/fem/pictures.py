@@ -146,12 +146,14 @@ def contact(report: Report) -> Any:
     for node, look in zip(nodes, LOOKS, strict=False):
         zone.axhline(arc[node], **look)
         traction.plot(slip.stage_t, slip.use[:, node], **look)
-    metre, names = report.suffix("length"), slip.contact.boundary
-    places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
+    # in the unit of the axis that shows them
+    length = zone.yaxis.get_major_formatter() if report.suffix("length") else "{:g}".format
+    names = slip.contact.boundary
+    places = [f"{names[node]}, {length(float(f'{arc[node]:.3g}'))}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
     name_axis(report, moved.yaxis, "displacement", "length")
     _legend_above(moved)
-    traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
+    traction.set(ylabel="traction / bound,\nmean of each step", ylim=(-1.15, 1.15))
     if loaded:
         _, load, (_, name) = driven(report.scene, report.solution)
         panels[3].plot(slip.t, load, color="black")
@@ -212,8 +214,8 @@ def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, s
     """Displacement and load of what drives the scene at the times, with their names.
 
     Of a prescribed displacement phi d, phi |d| with |d| its largest length, and the reaction
-    <d, A u' + B u> / |d|; else the sum of the nodal forces along the largest load, and the mean
-    displacement along them.
+    <d, A u' + B u> / |d|; else the sum of the forces at free nodes along the largest load, and the
+    mean displacement along them.
     """
     body, t = scene.discretisation, solution.t
     if scene.lifts:
@@ -226,7 +228,11 @@ def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, s
     nodal = body.expand(largest).reshape(-1, body.components)
     along = largest / (np.linalg.norm(nodal, axis=1).sum() or 1.0)
     load = forces @ along / (along @ along or 1.0)
-    return solution.u[:, : body.dim] @ along, load, ("mean displacement along the load", "load")
+    return (
+        solution.u[:, : body.dim] @ along,
+        load,
+        ("mean displacement along the load", "load on free nodes"),
+    )
 
 
 def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:

@@ -307,6 +307,7 @@ def _history(table: Any, path: str, folder: Path) -> Any:
     )
 
 
+@meaning(dt="; give steps, end / dt")
 def _time(end: float, steps: int) -> dict[str, Any]:
     return {"t_end": number("end", end, 0.0, strict=True), "steps": count("steps", steps)}
 

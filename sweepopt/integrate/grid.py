@@ -122,7 +122,7 @@ def evaluation_times(times: Array, mus: Array, scheme: Scheme) -> Array:
 def check_stability(
     process: SweepingProcess, plan: Plan, mu: float, outside: bool, on_unstable: str
 ) -> None:
-    """What the longest step does to errors, from the stability function R at -mu Lam.
+    """What the longest step does to errors, from the stability function R at -step * Lam.
 
     A scheme that is explicit in u amplifies them where R < -1, and overshoots where R < 0. An
     implicit one overshoots where R < 0 if B u starts outside of C(t), and rings while C(t) moves
@@ -176,7 +176,7 @@ def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
 
 
 def _check_explicit(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
-    """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1.
+    """Explicit in u means step * Lam <= 2, and no overshoot only for step * Lam <= 1.
 
     What C(t, u) adds to the rate of change with u counts as B does.
     """

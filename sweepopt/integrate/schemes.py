@@ -7,13 +7,13 @@ Stage k of a step from (t_i, u_i) with mu solves the velocity program
 and u_{i+1} = u_i + mu sum_k b_k z_k. MATH.md section 3 has the orders and the proofs.
 
 The last stage of a second-order scheme starts from an extrapolation, which may have carried an
-unknown past the place where it should rest: friction then holds it there. Where mu Lam > 2, a
+unknown past the place where it should rest: friction then holds it there. Where step * Lam > 2, a
 scheme with `euler_steps` takes such a step by implicit Euler instead, which never goes too far.
 
 A scheme by name is its tableau on the given grid. "auto" meets the breakpoints of loads that are
 data, too: a step that contains some is taken in parts that end there, unless they are too many for
 the grid (`grid.meeting_breakpoints`). Else a turn of the load inside a step costs O(mu) where A is
-0, and where it falls decides which scheme is best: of 300 tables on mu Lam from 1e-2 to inf 8
+0, and where it falls decides which scheme is best: of 300 tables on step * Lam from 1e-2 to inf 8
 errors were above twice the best of implicit-euler, midpoint and sdirk2, the worst 5.2 times; now
 none, 1.6 times. Schemes by name do not, so that a comparison shows the tableaux.
 """
@@ -106,7 +106,7 @@ SCHEMES = {
         stiffly_accurate("sdirk2", (GAMMA,), (1 - GAMMA, GAMMA), order=2),
         # L-stable; a diagonal of 1/5 makes its first stage a step of implicit Euler. Order 2 leaves
         # c_2 free: with 0.6 to 0.7 its largest error over that of the best of implicit-euler,
-        # midpoint and sdirk2 is about as small (200 sines, mu Lam from 0.1 to inf)
+        # midpoint and sdirk2 is about as small (200 sines, step * Lam from 0.1 to inf)
         stiffly_accurate(
             "sdirk32",
             (1 / 5,),
@@ -120,10 +120,10 @@ SCHEMES = {
 }
 
 
-# sdirk2 takes 0.7 of the time where mu Lam <= 2, but of 636 rows at 1e-2 it was above twice the
+# sdirk2 takes 0.7 of the time where step * Lam <= 2, but of 636 rows at 1e-2 it was above twice the
 # best of implicit-euler, midpoint and sdirk2 in 19, sdirk32 in 3
 AUTOMATIC = replace(SCHEMES["sdirk32"], reason="second order and L-stable, for any step * Lam")
-RESOLVED = 2.0  # mu Lam from which midpoint's stability function (2 - mu Lam) / (2 + mu Lam) is < 0
+RESOLVED = 2.0  # x = step * Lam from which midpoint's stability function (2 - x) / (2 + x) is < 0
 
 
 def implicit_euler(steps: int) -> Scheme:
@@ -135,7 +135,7 @@ def implicit_euler(steps: int) -> Scheme:
 
 def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float) -> bool:
     """Whether errors come back with the other sign and more than this share of their size."""
-    # of implicit Euler R = 1 / (1 + mu Lam) > 0, whatever Lam is: to prove it takes factors
+    # of implicit Euler R = 1 / (1 + step * Lam) > 0, whatever Lam is: to prove it takes factors
     if scheme.order == 1 and not scheme.explicit:
         return False
     return scheme.amplification(-min(mu * process.Lam, HUGE)) < -least

@@ -1,8 +1,8 @@
 """One step of a scheme: whole, in parts that end at breakpoints of the load, or in equal parts.
 
 u_{i+1} = u_i + mu sum_k b_k z_k, where z_k solves the program of stage k (see `schemes`); or some
-steps of implicit Euler, where mu Lam > 2 and much of the motion comes to rest or turns back. A step
-is the whole one of the scheme but where it contains breakpoints of the plan, or misses its
+steps of implicit Euler, where step * Lam > 2 and much of the motion comes to rest or turns back. A
+step is the whole one of the scheme but where it contains breakpoints of the plan, or misses its
 tolerance: then u moves through parts of it as through steps, and the result is that of a finer
 grid.
 """

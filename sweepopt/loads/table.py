@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, at_path, entries, matrix, number, with_checks
+from sweepopt.checks import HUGE, TIME_SLACK, at_path, axes, entries, matrix, number, with_checks
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
@@ -74,15 +74,8 @@ class Table(Brief, History):
         """
         factor = number("scale", scale)
         (times, values), rows = read_columns(path, time, column)
-        late = np.flatnonzero(np.diff(times) <= 0.0)
-        if late.size:
-            k = int(late[0]) + 1
-            raise InputError(
-                f"{path}, row {rows[k]}: time {times[k]:g} does not come after "
-                f"{times[k - 1]:g}; sort the rows, and leave a small gap at a jump, "
-                f"such as {1e-6 * np.ptp(times):.1g}"
-            )
         with at_path(f"{path}: "):
+            check_points("times", times, values, rows)
             return cls(times, factor * values)
 
     def __call__(self, t: ArrayLike) -> Any:
@@ -187,8 +180,18 @@ class VectorTable(Table):
         raise InputError("a VectorTable has no scalar closed form; give it as center or load")
 
 
-def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
-    """The points of a table as read-only vectors; `name` is what errors call its times."""
+def check_points(
+    name: str, times: ArrayLike, values: ArrayLike, rows: Sequence[int] = ()
+) -> tuple[Array, Array]:
+    """The points of a table as read-only vectors.
+
+    Errors call its times by `name`, and points by their rows in a file if these are given.
+    """
+    if axes(values) == 2:
+        raise InputError(
+            f"values must have one axis, got shape {np.shape(values)}; rows of vectors are "
+            "so.VectorTable(times, values)"
+        )
     t, phi = entries(name, times), entries("values", values)
     if t.size < 2:
         raise InputError(f"{name} must have two entries or more; for one value, use Constant")
@@ -197,9 +200,10 @@ def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array,
     late = np.flatnonzero(np.diff(t) < 1 / HUGE)
     if late.size:
         k = int(late[0])
+        places = [f"row {row}" for row in rows] or [f"entry {i}" for i in range(t.size)]
         raise InputError(
-            f"{name} must increase strictly, but entry {k + 1} ({t[k + 1]:g}) follows "
-            f"entry {k} ({t[k]:g}); sort the table, and leave a small gap at a jump, "
-            f"such as {1e-6 * np.ptp(t):.1g}"
+            f"{name} must increase strictly, but {places[k + 1]} ({t[k + 1]:g}) follows "
+            f"{places[k]} ({t[k]:g}); sort the table, and leave a small gap at a jump, "
+            f"such as {1e-6 * (np.ptp(t) or 1.0):.1g}"
         )
     return t, phi

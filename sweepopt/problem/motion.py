@@ -149,16 +149,6 @@ class Motion:
     name: str = "center"
 
     @property
-    def shape(self) -> ConvexSet | None:
-        """S, where there is one."""
-        return self.summands[0][1] if len(self.summands) == 1 else None
-
-    @property
-    def scale(self) -> TimeFunction:
-        """r, where there is one."""
-        return self.summands[0][0] if len(self.summands) == 1 else ONE
-
-    @property
     def disjoint(self) -> bool:
         """Whether no unknown belongs to two summands."""
         chosen = [S.selection for _, S in self.summands]

@@ -149,11 +149,7 @@ class SweepingProcess(Displayed):
         self.dim = self.u0.size
         self.C = C.of(self.u0) if isinstance(C, StateDependent) else C
         self.fields = _valid_fields(fields or {}, self.dim)
-        if self.B is not None and abs(self.B).max() == 0:
-            self.B = None
         self.rate_independent = bool(abs(self.A).max() == 0)
-        if self.rate_independent and self.B is None:
-            raise InputError("A and B are both zero: nothing determines the velocity")
         given = [M for M in (self.A, self.B) if M is not None]
         if all((abs(M.sum(axis=1)) <= LOOSE * abs(M).sum(axis=1)).all() for M in given):
             raise IndefiniteError(
@@ -568,13 +564,14 @@ class EvolutionVI(SweepingProcess):
 
 
 def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
-    """A, zero where it is left out, B, and the numbers of unknowns of those that are given."""
+    """A, zero where it is left out, B if it is not, and the sizes of those that are given."""
     given = {
         name: symmetric(name, M)
         for name, M in (("A", A), ("B", B))
         if not (M is None or (np.isscalar(M) and M == 0))  # of any number of unknowns
     }
-    if not given:
+    parts = {name: M for name, M in given.items() if abs(M).max() > 0}
+    if not parts:
         raise InputError("A and B are both zero: nothing determines the velocity; give one of them")
     sizes = {name: M.shape[0] for name, M in given.items()}
     for name, M in given.items():
@@ -586,7 +583,7 @@ def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
             )
     one = next(iter(given.values()))
     zero = sp.csc_array(one.shape) if sp.issparse(one) else np.zeros(one.shape)
-    return given.get("A", zero), given.get("B"), sizes
+    return parts.get("A", zero), parts.get("B"), sizes
 
 
 def sweeping(process: Any) -> SweepingProcess:

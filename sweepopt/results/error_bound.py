@@ -26,10 +26,11 @@ lam <= Lam the extreme eigenvalues of A^-1 B.
 
 v is a curve through the nodes of a second run: on each step a line or one of two cubics, whichever
 gives the smallest bound. The second run has an L-stable scheme: sdirk2, or implicit Euler where all
-of the body is stiff (mu lam > 10, or A = 0): errors fade within a step there, the switches between
-stick and slip decide the order of both schemes, and implicit Euler has half of the programs. Its
-grid is refined where most of the bound of |u - v| arises, which is around the switches, and the run
-is repeated, until that bound is at most SHARE of |v - u_n| or no finer grid pays (`_more`).
+of the body is stiff (step * lam > 10, or A = 0): errors fade within a step there, the switches
+between stick and slip decide the order of both schemes, and implicit Euler has half of the
+programs. Its grid is refined where most of the bound of |u - v| arises, which is around the
+switches, and the run is repeated, until that bound is at most SHARE of |v - u_n| or no finer grid
+pays (`_more`).
 w(t) = center(t) + scale(t) s(t), where s is a curve in S through projections of
 A v' + B v - beta v', less the center, or, where projections iterate, through those points of S
 with which the programs of the second run ended. beta is that of |x|_A^2 >= beta |x|^2, as
@@ -63,7 +64,7 @@ from sweepopt.integrate import (
 )
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
-from sweepopt.problem import Norms, SweepingProcess, motion
+from sweepopt.problem import ONE, Norms, SweepingProcess, motion
 from sweepopt.results.interpolation import CURVES, Nodes, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.velocity import Plan
@@ -76,9 +77,9 @@ SHARE = 1 / 3
 The bound of the error, |u - v| + |v - u_n|, is then at most (1 + SHARE) / (1 - SHARE) = 2 times
 the error."""
 FADES = 10
-"""If mu lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds with
-implicit Euler were 1.1 times those with sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5
-and 9 times at 0.002."""
+"""If step * lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds
+with implicit Euler were 1.1 times those with sdirk2 at step * lam = 10, 1.4 times at 2, up to 4
+times at 0.5 and 9 times at 0.002."""
 WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 5, 2.4)}
 """Steps that all second runs together may take, by their scheme, for each program of the run: for
 up to SMALL unknowns and exact projections; for other bodies; and where the run eliminates most of
@@ -245,7 +246,7 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
         h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
         if not np.isfinite(h).all():
             return math.inf
-        sets = [(moving.scale, sets[0][1].with_offsets(h))]
+        sets = [(ONE, sets[0][1].with_offsets(h))]
     size = 0.0
     for scale, S in sets:
         most = sum(phi * float(np.abs(f).max()) for phi, f in scale.largest(a, b))

@@ -68,9 +68,10 @@ SETS = 8
 """Sets of a function t -> C on each step: four times as many give half the bound. With 8 a bound
 takes 6 times as long as the run of a box."""
 VARIES = 8
-"""int |r'| is computed on steps with a larger mu Lam only. On others it does not make the bound of
-|e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >= sqrt(S)
-the step adds at least sqrt(8 / (mu Lam)) times as much to the bound as with int |r|^2 / 2."""
+"""int |r'| is computed on steps with a larger step * Lam only. On others it does not make the bound
+of |e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >=
+sqrt(S) the step adds at least sqrt(8 / (step * Lam)) times as much to the bound as with int |r|^2 /
+2."""
 CLOSED = 1e-9  # of its largest: a scale counts as that, so that a closed set has a point too
 SAME = 1e-12  # relative to the largest force: points nearer than that are projected as one
 CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
@@ -84,7 +85,7 @@ class Residuals(NamedTuple):
     gaps, squares : ndarray
         int 2 G and int |r|^2; squares are infinite where A is singular.
     turning : ndarray
-        int |r'|, in the dual norm of B; infinite where mu Lam is at most VARIES.
+        int |r'|, in the dual norm of B; infinite where step * Lam is at most VARIES.
     size : ndarray
         sup |r|, in the same way.
     begin, end : ndarray, shape (c, n, dim)
@@ -154,7 +155,7 @@ def residuals(
         if process.B is not None:
             forces += applied(process.B, nodes.u[1:])
         points = _points_of_several(data, nodes.t[1:], forces, speed)
-    elif members is not None and (scale := data.scale.at(nodes.t[1:])).all():
+    elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
         points = [(members - data.center.at(nodes.t[1:])) / scale]
     model = _model(process, data, reason, norms, nodes, variation, points)
     try:
@@ -243,8 +244,10 @@ def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
     """Translates of a bounded set are as far apart as their centers."""
-    shape, scale = moving.shape, moving.scale
-    if shape is None or not scale.constant or not math.isfinite(shape.magnitude()):
+    if len(moving.summands) != 1:
+        return None
+    ((scale, shape),) = moving.summands
+    if not scale.constant or not math.isfinite(shape.magnitude()):
         return None
     center = moving.center
     value = center.function or (lambda t: center.at(np.array([t]))[0])

@@ -303,8 +303,15 @@ class Operators(Brief):
     def __contains__(self, w: Any) -> bool:
         raise InputError("w in C: write C.contains(w), of a set that moves C.at(t).contains(w)")
 
+    def __or__(self, _: Any) -> Any:
+        raise InputError(
+            "C | D and C @ M are not defined: an intersection is C & D, an image M @ C, a union "
+            "is not convex"
+        )
+
     __radd__ = __add__
     __mul__ = __rmul__
+    __matmul__ = __or__
 
 
 class _Required:
@@ -425,7 +432,7 @@ class ConvexSet(Operators, ABC):
 
     # ---- what follows from it -----------------------------------------------------------------
 
-    def apart(self) -> ConvexSet:
+    def copy_for_run(self) -> ConvexSet:
         """C for one run alone: `start_at` on it is not seen by others."""
         return self if self.exact else copy.copy(self)
 
@@ -587,7 +594,7 @@ class ConvexSet(Operators, ABC):
     def start_at(self, v: Array, s: Array, n: Array) -> None:
         """Find the projection of v from points s of the parts and normals n; formulas need none.
 
-        Its last bits are those of this start: to be called on a set that is `apart`.
+        Its last bits are those of this start: to be called on `copy_for_run`.
         """
 
     def is_beyond(self, w: Array, distance: float) -> bool:

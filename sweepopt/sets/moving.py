@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from types import NoneType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,14 +30,14 @@ class Summands(NamedTuple):
     ----------
     center : tuple of (callable, ndarray)
         phi_k, f_k.
-    still : ConvexSet
+    constant : ConvexSet
         S.
     scaled : tuple of (callable, ConvexSet)
         r_i, T_i.
     """
 
     center: tuple[Any, ...]
-    still: ConvexSet
+    constant: ConvexSet
     scaled: tuple[Any, ...]
 
 
@@ -206,7 +207,12 @@ class Moving(MovingSet):
         self.shape, self.dim = shape, shape.dim
         if callable(center):
             takes(self.center_name, center, "t")
-            if isinstance(center, History) and self.dim == 1 and not hasattr(center, "dim"):
+            if isinstance(center, History) and not hasattr(center, "dim"):
+                if self.dim > 1:
+                    raise InputError(
+                        f"a load or center must have {self.dim} entries at a time, got "
+                        f"{shown(center)}; with its direction f it is so.Separable([(history, f)])"
+                    )
                 center = Separable([(center, 1.0)])
         elif center is not None:
             center = Separable([(Constant(), vector("center", center, self.dim))])
@@ -217,6 +223,16 @@ class Moving(MovingSet):
         self.center, self.scale = center, scale
         if isinstance(center, (Separable, VectorTable)) and center.dim != self.dim:
             raise InputError(f"center must have {self.dim} entries, got {center.dim}")
+
+    @property
+    def summands(self) -> Summands | None:  # type: ignore[override]
+        """None where a function moves the center, or several histories the scale."""
+        if isinstance(self.scale, Separable) or not isinstance(self.center, (Separable, NoneType)):
+            return None
+        terms = () if self.center is None else self.center.terms
+        if self.scale is None:
+            return Summands(terms, self.shape, ())
+        return Summands(terms, Point(np.zeros(self.dim)), ((self.scale, self.shape),))
 
     def _picture(self) -> str:
         return self.shape._picture()

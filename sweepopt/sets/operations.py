@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import HUGE, Array, Matrix, matrix, number, vector
+from sweepopt.checks import HUGE, Matrix, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
@@ -92,25 +92,26 @@ def _summands(operation: Callable[..., Any], operands: Sequence[Any]) -> Summand
 
     None where another thing moves.
     """
-    still, moves, scaled = list(operands), [], []
+    constant = list(operands)
     zeros = [Point(np.zeros(x.dim)) if isinstance(x, Operators) else x for x in operands]
+    vectors = operation(*zeros).anchor  # those that it adds
+
+    def of_one(k: int, S: ConvexSet) -> ConvexSet:
+        made: ConvexSet = operation(*zeros[:k], S, *zeros[k + 1 :])
+        return made - vectors if vectors.any() else made
+
+    center: list[Any] = []
+    scaled: list[Any] = []
     for k, C in enumerate(operands):
         if isinstance(C, MovingSet):
-            own = _as_sum(C)
+            own = C.summands
             if own is None:
                 return None
-            still[k] = own.still
-            moves += [(k, phi, Point(f)) for phi, f in own.center]
-            scaled += [(r, _alone(operation, zeros, k, S)) for r, S in own.scaled]
-    terms = _linear(operation, zeros, moves, lambda C: C.anchor)
-    rest = operation(*still)
-    return Summands(tuple(terms[1:]), _on_few(rest) if scaled else rest, tuple(scaled))
-
-
-def _alone(operation: Callable[..., Any], zeros: list[Any], k: int, S: ConvexSet) -> Any:
-    """op(0, ..., S, ..., 0), without the vectors that it adds."""
-    made, origin = operation(*zeros[:k], S, *zeros[k + 1 :]), operation(*zeros).anchor
-    return _on_few(made - origin if origin.any() else made)
+            constant[k] = own.constant
+            center += [(phi, of_one(k, Point(f)).anchor) for phi, f in own.center]
+            scaled += [(r, _on_few(of_one(k, S))) for r, S in own.scaled]
+    rest = operation(*constant)
+    return Summands(tuple(center), _on_few(rest) if scaled else rest, tuple(scaled))
 
 
 def _on_few(S: ConvexSet) -> ConvexSet:
@@ -128,37 +129,14 @@ def _on_few(S: ConvexSet) -> ConvexSet:
     return Aligned(*parts, unknowns=np.concatenate(unknowns), dim=S.dim)
 
 
-def _as_sum(C: MovingSet) -> Summands | None:
-    translations = _translations(C)
-    if not (isinstance(C, Moving) and translations is not None):
-        return C.summands
-    if C.scale is None:
-        return Summands(tuple(translations), C.shape, ())
-    return Summands(tuple(translations), Point(np.zeros(C.dim)), ((C.scale, C.shape),))
-
-
 def _translated(of: Summands) -> Moving | None:
     """c(t) + r(t) S, where there is one set."""
     if not of.scaled:
-        return Moving(of.still, Separable(of.center) if of.center else None)
-    if len(of.scaled) > 1 or not isinstance(of.still, Point):
+        return Moving(of.constant, Separable(of.center) if of.center else None)
+    if len(of.scaled) > 1 or not isinstance(of.constant, Point):
         return None
     ((r, S),) = of.scaled
-    return Moving(S, Separable([(Constant(), of.still.anchor), *of.center]), r)
-
-
-def _linear(
-    operation: Callable[..., Any],
-    bases: list[Any],
-    moves: list[tuple[int, Any, Any]],
-    measure: Callable[[Any], Array],
-) -> list[tuple[Any, Array]]:
-    """What histories add to a measure of the result: (k, phi, S) puts S in place of bases[k]."""
-    origin = measure(operation(*bases))
-    each = [
-        (phi, measure(operation(*bases[:k], S, *bases[k + 1 :])) - origin) for k, phi, S in moves
-    ]
-    return [(Constant(), origin), *each]
+    return Moving(S, Separable([(Constant(), of.constant.anchor), *of.center]), r)
 
 
 def _with_rows(
@@ -175,13 +153,16 @@ def _with_rows(
                 bases[k], terms = _moving_rows(C, linear)
                 moves += [(k, phi, S) for phi, S in terms]
                 scales += [C.scale] if isinstance(C, Moving) and C.scale else []
-        still = operation(*bases)
-        if type(still) is Aligned and still.unknowns is not None and still.parts[0] is bases[-1]:
-            return MovingOffsets(still, operands[1].offsets)  # an image on some unknowns
-        if still.dim > DENSE:
+        made = operation(*bases)
+        if type(made) is Aligned and made.unknowns is not None and made.parts[0] is bases[-1]:
+            return MovingOffsets(made, operands[1].offsets)  # an image on some unknowns
+        if made.dim > DENSE:
             return None
-        G, d = still.halfspaces().inequalities()
-        terms = _linear(operation, bases, moves, lambda C: C.halfspaces().inequalities()[1])
+        G, d = made.halfspaces().inequalities()
+        terms = [(Constant(), d)]
+        for k, phi, S in moves:
+            made = operation(*bases[:k], S, *bases[k + 1 :])
+            terms.append((phi, made.halfspaces().inequalities()[1] - d))
     except NoHalfspacesError:
         return None
     # the last rows say that no scale is negative
@@ -198,24 +179,14 @@ def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
     """
     if isinstance(C, MovingOffsets) and isinstance(C.offsets, Separable):
         return C.shape, [(phi, C.shape.with_offsets(h)) for phi, h in C.offsets.terms]
-    translations = _translations(C)
-    if translations is None or C.dim > DENSE:
+    if not isinstance(C, Moving) or C.summands is None or C.dim > DENSE:
         raise NoHalfspacesError
     S: Any = C.shape
     if not (linear and isinstance(S, Box)):
         S = Polyhedron(*S.halfspaces().inequalities())
     base, G = S.with_offsets(0 * S.offsets), np.eye(S.dim) if S.singleton else S.halfspaces().N
-    moved = [(phi, S.with_offsets(G @ f)) for phi, f in translations]
+    moved = [(phi, S.with_offsets(G @ f)) for phi, f in C.summands.center]
     return base, [(C.scale or Constant(), S), *moved]
-
-
-def _translations(C: Any) -> Sequence[tuple[Any, Array]] | None:
-    """The terms of the center of a Moving set, if that is data and its scale one history."""
-    if type(C) is not Moving or isinstance(C.scale, Separable):
-        return None
-    if C.center is None:
-        return ()
-    return C.center.terms if isinstance(C.center, Separable) else None
 
 
 @partial(over_time, linear=True)

@@ -179,7 +179,7 @@ class Polyhedron(ConvexSet):
         while left.size:
             z, s, serves = rows[left], slack[left] / self._units, np.arange(left.size) == 0
             first = self.with_offsets(slack[left[0]])
-            of_first = first._multipliers(z[0], np.zeros(self.dim))
+            of_first = first._multipliers(z[0])
             if of_first is not None:
                 active = np.flatnonzero(of_first)
                 normals, inverse = (G := dense(self.rows[active])), np.linalg.pinv(G)
@@ -196,23 +196,23 @@ class Polyhedron(ConvexSet):
             left = left[~serves]
         return multipliers
 
-    def _multipliers(self, p: Array, x: Array) -> Array | None:
-        """The y >= 0 with G^T y = p that minimises <h - G x, y>, x in C; None if there is none.
+    def _multipliers(self, p: Array) -> Array | None:
+        """The y >= 0 with G^T y = p that minimises <h, y>, 0 in C; None if there is none.
 
-        The rows that hold x + t p back are those of the support function once t is large enough;
+        The rows that hold t p back are those of the support function once t is large enough;
         beyond active sets, or where none proves it, HiGHS is asked.
         """
         # rows of length 1 and units of the data: what follows looks at absolute numbers
         weights, size = 1 / self._lengths, float(np.abs(p).max()) or 1.0
-        costs, goal = weights * np.maximum(self.offsets - self.rows @ x, 0.0), p / size
+        costs, goal = weights * np.maximum(self.offsets, 0.0), p / size
         columns = _columns(self.rows.T, weights)
         if self.exact:
             nearest = nonnegative_least_squares(dense(columns), goal).residual
             if nearest > math.sqrt(OUTSIDE):  # NNLS looks at gradients, that are its square
                 return None
-            extent = float(np.abs(np.append(x, costs)).max()) or 1.0
+            extent = float(costs.max()) or 1.0
             for far in FAR:
-                normal = self._exact_normal(x + far * extent * goal, np.ones(self.dim))
+                normal = self._exact_normal(far * extent * goal)
                 if normal is None:
                     break
                 some, y = dense(columns[:, normal.active]), np.zeros(costs.size)
@@ -242,13 +242,13 @@ class Polyhedron(ConvexSet):
         return size * weights * result.x
 
     def normal(self, v: Array) -> Array:
-        exact = self._exact_normal(v, np.ones(self.dim))
+        exact = self._exact_normal(v)
         return normal_by_program(self, v) if exact is None else exact.u
 
     def _exact_normal(
         self,
         v: Array,
-        tau: Array,
+        tau: Array | float = 1.0,
         margin: Array | float = 0.0,
         flat: Flat | None = None,
     ) -> Shortest | None:
@@ -257,7 +257,7 @@ class Polyhedron(ConvexSet):
         The set is that of h + margin. The first active rows are equations, if these are given.
         None where there are too many rows and unknowns, and where no active rows prove it.
         """
-        slack, root = self.offsets + margin - self.rows @ v, np.sqrt(tau)
+        slack, root = self.offsets + margin - self.rows @ v, np.sqrt(tau * np.ones(self.dim))
         if flat is None and (slack >= 0).all():
             return Shortest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if not self.exact:
@@ -283,7 +283,7 @@ class Polyhedron(ConvexSet):
         while left.size:
             v, serves = rows[left], np.arange(left.size) == 0
             first = self if offsets is None else self.with_offsets(offsets[left[0]])
-            normal = first._exact_normal(v[0], np.ones(self.dim))
+            normal = first._exact_normal(v[0])
             if normal is None:
                 points[left[0]] = first.project(v[0])
             else:
@@ -299,7 +299,7 @@ class Polyhedron(ConvexSet):
         return points
 
     def derivative(self, v: Array) -> Array | None:
-        normal = self._exact_normal(v, np.ones(self.dim))
+        normal = self._exact_normal(v)
         if normal is None:
             return None
         return np.eye(self.dim) - projector(dense(self.rows[normal.active]))
@@ -442,18 +442,19 @@ class Bounds(NamedTuple):
         return lower, upper
 
     def multipliers(self, rows: Array, slack: Array) -> Array:
-        """As `Polyhedron.multiplier_rows`: of the rows for one side those with the least slack."""
-        y, side = np.zeros((len(rows), slack.shape[-1])), 2 * self.j + (self.factor > 0)
-        slack = np.broadcast_to(slack, y.shape)[:, self.i] / np.abs(self.factor)
-        least = np.full((len(rows), 2 * self.dim), np.inf)
-        count = np.zeros_like(least)
-        np.minimum.at(least.T, side, slack.T)
-        nearest = slack == least[:, side]
-        np.add.at(count.T, side, nearest.T)
-        pull = np.maximum(rows[:, self.j] / self.factor, 0.0)
-        y[:, self.i] = np.where(nearest, pull / count[:, side], 0.0)
-        free = np.isinf(least).reshape(*rows.shape, 2)
-        y[((rows < 0) & free[..., 0] | (rows > 0) & free[..., 1]).any(axis=1)] = np.inf
+        """As `Polyhedron.multiplier_rows`: of the bounds of one side that with the least slack."""
+        y, unbounded = np.zeros((len(rows), slack.shape[-1])), np.zeros(len(rows), dtype=bool)
+        slack = np.broadcast_to(slack, y.shape)
+        for j, z in enumerate(rows.T):
+            for sign in (1.0, -1.0):
+                some, own = sign * z > 0, (self.j == j) & (sign * self.factor > 0)
+                i, factor = self.i[own], self.factor[own]
+                if i.size:
+                    least = (slack[:, i] / np.abs(factor)).argmin(axis=1)[some]
+                    y[some, i[least]] = z[some] / factor[least]
+                else:
+                    unbounded |= some
+        y[unbounded] = np.inf
         return y
 
 

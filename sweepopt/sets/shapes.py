@@ -167,7 +167,6 @@ class Point(Box):
     """
 
     singleton = True
-    nonsmooth_dim = 0
 
     def __init__(self, p: Any) -> None:
         self.p = self.lower = self.upper = self.offsets = entries("p", p)

@@ -88,7 +88,7 @@ class StateVelocity:
         self._mapping: ReturnMapping | None = None
         self._cones: Cones | None = None
         self._one = lru_cache(1)(one_unknown)
-        self._apart = lru_cache(1)(ConvexSet.apart)
+        self._copy = lru_cache(1)(ConvexSet.copy_for_run)
 
     def __call__(self, u: Array, C: ConvexSet) -> Velocity:
         if u.size == 1 and self._plan.solver == "auto":
@@ -125,7 +125,7 @@ class StateVelocity:
                 mapped = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
                 if mapped is not None and mapped.relative <= self._tol:
                     return mapped
-        S = self._apart(S)
+        S = self._copy(S)
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
         if self._plan.cones:

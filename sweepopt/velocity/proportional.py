@@ -179,10 +179,11 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
         When the first step asks for the load.
     """
     moving, scale = motion(process.C), getattr(process.C, "scale", None)
-    shape = moving.shape if moving.offsets is None else None
-    if scale is None and moving.scale is not ONE:  # no Moving set: its scale may have no value
-        shape = None
-    selection = shape.selection if shape is not None else None
+    selection = None
+    if moving.offsets is None and len(moving.summands) == 1:
+        ((r, shape),) = moving.summands
+        if scale is not None or r is ONE:  # else no Moving set: its scale may have no value
+            selection = shape.selection
     rho = proportion(process.A, process.B) if process.coercive else None
     lacks = {
         "A is singular": not process.coercive,

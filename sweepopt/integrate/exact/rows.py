@@ -171,16 +171,17 @@ def rows_of(process: SweepingProcess) -> Rows:
 
 def _halfspaces(moving: Motion) -> tuple[Array, Terms, int]:
     """N and d of C(t) = { w : N w <= d(t) }, and how many of the last rows are equations."""
-    if moving.shape is None:
+    if len(moving.summands) != 1:
         raise InputError(
             "the process has a set that is a function of time, or a sum with several scales; "
             "write it as so.Moving(shape, center=so.Separable(...)) or so.Polyhedron(G, "
             "so.Separable(...))"
         )
+    ((scale, shape),) = moving.summands
     load = moving.center if moving.offsets is None else moving.offsets
-    terms, scale = _closed_forms(load, moving.name), _closed_forms(moving.scale, "scale")
+    terms, sizes = _closed_forms(load, moving.name), _closed_forms(scale, "scale")
     try:
-        N, d, E, e = facets(moving.shape)
+        N, d, E, e = facets(shape)
     except NoHalfspacesError as error:
         raise InputError(
             f"the process has a set that is not a polyhedron with known rows: {error}; use auto"
@@ -192,7 +193,7 @@ def _halfspaces(moving: Motion) -> tuple[Array, Terms, int]:
         terms = tuple((phi, N @ f) for phi, f in terms)
     else:
         terms = tuple((phi, np.concatenate([[0.0], f, 0 * e])) for phi, f in terms)
-    return N, (*((phi, r * sides) for phi, r in scale), *terms), len(e)
+    return N, (*((phi, r * sides) for phi, r in sizes), *terms), len(e)
 
 
 def _closed_forms(load: TimeFunction, name: str) -> Terms:

@@ -1,6 +1,6 @@
 """Stiff bodies: what scheme "auto" makes of them, beside the best of three schemes; one table.
 
-A body, a load and a seed make a process; its A is scaled such that mu Lam is that of the row.
+A body, a load and a seed make a process; its A is scaled such that step * Lam is that of the row.
 """
 
 import math
@@ -128,7 +128,7 @@ def stiff_bodies(
     seeds : sequence of int
     bodies, loads : sequence of str
     stiffness : sequence of float
-        mu Lam; infinite for A = 0.
+        step * Lam; infinite for A = 0.
     steps : sequence of int
     bounds : bool
         Whether each run's error bound is computed.
