@@ -337,10 +337,9 @@ def _on_intervals(
             )
             w, gaps, moved = w + of_w, gaps + gap, moved + distance
             if scale.error.any():
-                curves = np.stack([size * s for _, size in f.terms], axis=2)
-                sizes = [norm.dual(curves).max(axis=1) for norm in (norms.A, norms.B)]
                 # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
-                more = _of_interpolation(scale, scale.slope_error + 6 * scale.error, sizes)
+                slope_error = scale.slope_error + 6 * scale.error
+                more = _of_interpolation(scale, slope_error, _sizes_along(norms, f, s))
                 error, error_B, turning = error + more[0], error_B + more[1], turning + more[2]
         error = error + moved / math.sqrt(norms.A.beta)
     else:
@@ -430,6 +429,12 @@ def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[Array]:
         return [np.array([1 / math.sqrt(one.beta) if one.beta else math.inf]) for one in both]
     vectors = np.array([f for _, f in center.terms])
     return [one.dual(vectors) for one in both]
+
+
+def _sizes_along(norms: Norms, scale: TimeFunction, s: Array) -> list[Array]:
+    """The largest ones of the vectors that a scale multiplies along a curve s, in both norms."""
+    vectors = np.stack([size * s for _, size in scale.terms], axis=2)
+    return [norm.dual(vectors).max(axis=1) for norm in (norms.A, norms.B)]
 
 
 def _of_interpolation(of: Interpolated, slopes: Array, sizes: list[Array]) -> list[Array]:
