@@ -322,10 +322,25 @@ def _on_intervals(
     if not model.summands:
         w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif offsets is None:
-        across = begin + share * THIRDS
-        w, gaps, moved, errors = _within_sum(norms, model, across, scales, aim, directions, ~stiff)
-        more = _of_interpolation(center, center.slope_error, terms)
-        error, error_B, turning = (x + y for x, y in zip(errors, more, strict=True))
+        w, gaps = np.zeros_like(force), moved
+        unknown: list[Any] = [None] * len(scales)
+        points = model.members or unknown
+        error, error_B, turning = _of_interpolation(center, center.slope_error, terms)
+        for (f, shapes), scale, of_S in zip(model.summands, scales, points, strict=True):
+            s = None
+            if of_S is not None:
+                first, last = of_S[np.maximum(i - 1, 0), None], of_S[i, None]
+                s = first + (begin + share * THIRDS)[:, :, None] * (last - first)
+            # a curve that is moved has no bound of int |r'|
+            s, of_w, gap, distance = _within_shape(
+                norms, f, shapes, s, scale, model.distance, aim, directions, ~stiff
+            )
+            w, gaps, moved = w + of_w, gaps + gap, moved + distance
+            if scale.error.any():
+                # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
+                slope_error = scale.slope_error + 6 * scale.error
+                more = _of_interpolation(scale, slope_error, _sizes_along(norms, f, s))
+                error, error_B, turning = error + more[0], error_B + more[1], turning + more[2]
         error = error + moved / math.sqrt(norms.A.beta)
     else:
         ((_, (S,)),) = model.summands
@@ -344,40 +359,6 @@ def _on_intervals(
     varies[moved > 0] = np.inf
     first, last = math.sqrt(3) * r[:, 0], math.sqrt(3) * r[:, 1]
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
-
-
-def _within_sum(
-    norms: Norms,
-    model: _Model,
-    across: Array,
-    scales: list[Interpolated],
-    aim: Array,
-    directions: Array,
-    may_move: Array,
-) -> tuple[Array, Array, Array, list[Array]]:
-    """A curve in sum_i r_i(t) S_i, one in each S_i: `_within_shape`, and what the scales add."""
-    w, moved, errors = np.zeros_like(aim), np.zeros(len(aim)), [np.zeros(len(aim))] * 3
-    gaps, i = moved, model.intervals.step
-    unknown: list[Any] = [None] * len(scales)
-    for (f, shapes), scale, of_S in zip(
-        model.summands, scales, model.members or unknown, strict=True
-    ):
-        s = None
-        if of_S is not None:
-            first, last = of_S[np.maximum(i - 1, 0), None], of_S[i, None]
-            s = first + across[:, :, None] * (last - first)
-        # a curve that is moved has no bound of int |r'|
-        s, of_w, gap, distance = _within_shape(
-            norms, f, shapes, s, scale, model.distance, aim, directions, may_move
-        )
-        w, gaps, moved = w + of_w, gaps + gap, moved + distance
-        if scale.error.any():
-            curves = np.stack([size * s for _, size in f.terms], axis=2)
-            sizes = [norm.dual(curves).max(axis=1) for norm in (norms.A, norms.B)]
-            # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
-            more = _of_interpolation(scale, scale.slope_error + 6 * scale.error, sizes)
-            errors = [x + y for x, y in zip(errors, more, strict=True)]
-    return w, gaps, moved, errors
 
 
 def _within_shape(
@@ -448,6 +429,12 @@ def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[Array]:
         return [np.array([1 / math.sqrt(one.beta) if one.beta else math.inf]) for one in both]
     vectors = np.array([f for _, f in center.terms])
     return [one.dual(vectors) for one in both]
+
+
+def _sizes_along(norms: Norms, scale: TimeFunction, s: Array) -> list[Array]:
+    """The largest ones of the vectors that a scale multiplies along a curve s, in both norms."""
+    vectors = np.stack([size * s for _, size in scale.terms], axis=2)
+    return [norm.dual(vectors).max(axis=1) for norm in (norms.A, norms.B)]
 
 
 def _of_interpolation(of: Interpolated, slopes: Array, sizes: list[Array]) -> list[Array]:
