@@ -442,19 +442,18 @@ class Bounds(NamedTuple):
         return lower, upper
 
     def multipliers(self, rows: Array, slack: Array) -> Array:
-        """As `Polyhedron.multiplier_rows`: of the bounds of one side that with the least slack."""
-        y, unbounded = np.zeros((len(rows), slack.shape[-1])), np.zeros(len(rows), dtype=bool)
-        slack = np.broadcast_to(slack, y.shape)
-        for j, z in enumerate(rows.T):
-            for sign in (1.0, -1.0):
-                some, own = sign * z > 0, (self.j == j) & (sign * self.factor > 0)
-                i, factor = self.i[own], self.factor[own]
-                if i.size:
-                    least = (slack[:, i] / np.abs(factor)).argmin(axis=1)[some]
-                    y[some, i[least]] = z[some] / factor[least]
-                else:
-                    unbounded |= some
-        y[unbounded] = np.inf
+        """As `Polyhedron.multiplier_rows`: of the rows for one side those with the least slack."""
+        y, side = np.zeros((len(rows), slack.shape[-1])), 2 * self.j + (self.factor > 0)
+        slack = np.broadcast_to(slack, y.shape)[:, self.i] / np.abs(self.factor)
+        least = np.full((len(rows), 2 * self.dim), np.inf)
+        count = np.zeros_like(least)
+        np.minimum.at(least.T, side, slack.T)
+        nearest = slack == least[:, side]
+        np.add.at(count.T, side, nearest.T)
+        pull = np.maximum(rows[:, self.j] / self.factor, 0.0)
+        y[:, self.i] = np.where(nearest, pull / count[:, side], 0.0)
+        free = np.isinf(least).reshape(*rows.shape, 2)
+        y[((rows < 0) & free[..., 0] | (rows > 0) & free[..., 1]).any(axis=1)] = np.inf
         return y
 
 
