@@ -13,8 +13,9 @@ import contextlib
 import math
 import threading
 import warnings
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -34,20 +35,25 @@ CAREFUL: dict[str, float] = {
 TIGHT = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12, **CAREFUL}
 
 
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
 _cvxpy = threading.RLock()
 
 
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    with _cvxpy:
-        yield
+def in_turn(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """For all that states or solves something in cvxpy: one thread at a time.
 
+    cvxpy numbers its variables by `count += 1`: where two threads do that at once, variables of one
+    program get the same number. And a variable that is shared holds one answer only.
+    """
 
-in_turn = _one_thread()
-"""Decorator of all that states or solves something in cvxpy: one thread at a time.
+    @wraps(function)
+    def alone(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _cvxpy:
+            return function(*args, **kwargs)
 
-cvxpy numbers its variables by `count += 1`: where two threads do that at once, variables of one
-program get the same number. And a variable that is shared holds one answer only."""
+    return alone
 
 
 @in_turn
