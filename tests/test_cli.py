@@ -95,6 +95,14 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
         "solution.nc, displacement.png, stress.png, contact.png, vtu/solution.vtu.series, ",
     ):
         assert words in shown.out
+    work, stored, spent, rubbed, rest = map(
+        float,
+        re.search(
+            r"work (\S+) J m-1 = stored (\S+) \+ viscous (\S+) \+ friction (\S+) (\S+) J", shown.out
+        ).groups(),
+    )
+    assert 0 < abs(rest) < 0.1 * work
+    assert work == pytest.approx(stored + spent + rubbed + rest, rel=1e-3, abs=0.1 * abs(rest))
     assert "30/30" in shown.err
     assert summary_in(results)["settings"]["scheme"] == "sdirk32"
     files = summary_in(results)["files"]

@@ -10,7 +10,6 @@ cannot have of their own, cvxpy's numbers of variables, they take in turns here.
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 import warnings
 from collections.abc import Callable
@@ -67,32 +66,33 @@ def check_features(C: ConvexSet) -> None:
     """
     import cvxpy as cp
 
-    name, z = f"{type(C).__name__}.features", np.cos(np.arange(C.dim) + 1.0)
+    name, p, at = f"{type(C).__name__}.features", cp.Variable(C.dim), cp.Parameter(C.dim)
     try:
-        given = result_of(C.features, cp.Constant(z), name)
+        given = result_of(C.features, p, name)
     except NotImplementedError:  # of small programs the projection is enough
         return
     h = vector(f"{type(C).__name__}.offsets", getattr(C, "offsets", None))
     if np.shape(C.offsets) != h.shape:
         raise InputError(f"offsets must be an array of shape ({h.size},), got {h[0]:g}")
-    sigma, size = C.support(z), float(np.abs(h).max(initial=0.0)) or 1.0
-    try:
-        y, constraints = given
-        value = np.append(0 * z, h / size) @ cp.hstack([z, *y])
-        problem = cp.Problem(cp.Minimize(value), [*constraints])
-        least = problem.solve(solver="CLARABEL")
-        # of a program without variables cvxpy gives None
-        least = math.inf if problem.status == cp.INFEASIBLE else size * float(least)
-    except Exception as error:  # whatever cvxpy has against a user's expressions
-        raise InputError(
-            f"{name} is no program: {type(error).__name__}: {error}; it must return Features([y], "
-            f"[constraints]), convex, y of {h.size} entries, one for each offset: {shown(given)}"
-        ) from error
-    if not (sigma == least or abs(sigma - least) <= 1e-3 * max(size, abs(sigma))):
-        raise InputError(
-            f"{name} contradicts support: for z = {shown(z)} the least <offsets, y> is "
-            f"{least:g}, but support(z) = {sigma:g}"
-        )
+    size, turns = float(np.abs(h).max(initial=0.0)) or 1.0, np.arange(C.dim) + 1.0
+    for z in (np.cos(turns), -np.cos(turns), np.sin(turns), -np.sin(turns)):
+        sigma, at.value = C.support(z), z
+        try:
+            y, constraints = given
+            value = np.append(0 * z, h / size) @ cp.hstack([p, *y])
+            problem = cp.Problem(cp.Minimize(value), [*constraints, p == at])
+            least = size * float(problem.solve(solver="CLARABEL"))
+        except Exception as error:  # whatever cvxpy has against a user's expressions
+            raise InputError(
+                f"{name} is no program: {type(error).__name__}: {error}; it must return "
+                f"Features([y], [constraints]), convex, y of {h.size} entries, one for each "
+                f"offset: {shown(given)}"
+            ) from error
+        if not (sigma == least or abs(sigma - least) <= 1e-3 * max(size, abs(sigma))):
+            raise InputError(
+                f"{name} contradicts support: for z = {shown(z)} the least <offsets, y> is "
+                f"{least:g}, but support(z) = {sigma:g}"
+            )
 
 
 @in_turn
