@@ -44,7 +44,7 @@ DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written; or the
 results are in a temporary folder, as theirs is full."""
 
-SMALL = Path(__file__).parent / "study" / "problems.toml"
+STUDY_PROBLEMS = Path(__file__).parent / "study" / "problems.toml"
 """Problems of studies that are no scenes."""
 
 TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"  # of a study
@@ -163,7 +163,7 @@ def _list(_: argparse.Namespace) -> int:
 
 
 def _effects(options: argparse.Namespace) -> int:
-    path = _file(find_scene(options.scene))
+    path = _readable(find_scene(options.scene))
     _require("fem")
     from sweepopt.fem import compare_effects
     from sweepopt.fem.scene_file import parse_changes
@@ -176,7 +176,7 @@ def _effects(options: argparse.Namespace) -> int:
 
 def _study(options: argparse.Namespace) -> int:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
-    path = _file(find_study(options.study))
+    path = _readable(find_study(options.study))
     if options.workers is not None:
         count("--workers", options.workers)
     from sweepopt import study as room
@@ -218,8 +218,8 @@ def _study(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace) -> int:
     """Compare all solvers on the programs of a scene."""
-    if options.scene not in read_toml(SMALL):
-        _file(find_scene(options.scene))
+    if options.scene not in read_toml(STUDY_PROBLEMS):
+        _readable(find_scene(options.scene))
     from sweepopt.study import compare, comparison_text, find_source
 
     if options.csv is not None:
@@ -232,7 +232,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    path = _file(find_scene(options.scene))
+    path = _readable(find_scene(options.scene))
     _require("fem", "plot")
     from sweepopt.fem import pictures, read_scene
     from sweepopt.fem.output import Report
@@ -251,8 +251,10 @@ def _run(options: argparse.Namespace) -> int:
         on_failure="stop",
     )
     grid = planned(process, solving)
-    if options.bound:
+    norms = None
+    if options.bound:  # what no bound is known of is refused before the run
         require_bound(process, grid.plan)
+        norms = Norms(process)
     _announce(scene, grid.plan)
 
     text = path.read_text(encoding="utf-8")
@@ -268,8 +270,8 @@ def _run(options: argparse.Namespace) -> int:
             folder, code = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), INCOMPLETE
             files = pictures.write(report, folder, drawn)
         _conclude(report, folder, files)
-        if options.bound:
-            norms, bound = Norms(process), solution.error_bound()
+        if norms is not None:
+            bound = solution.error_bound()
             beside = f"in the norm of {'B' if norms.weak else 'A'}, where the largest u has"
             words = f"{bound!r} {beside} {norms.A(solution.u).max():.4g}"
             print(as_lines([("error bound", words)]))
@@ -321,7 +323,7 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     print(as_lines(lines.items()))
 
 
-def _file(path: Path) -> Path:
+def _readable(path: Path) -> Path:
     """The path of a file that can be read: a wrong name is told before what is not installed."""
     read_toml(path)
     return path

@@ -609,6 +609,16 @@ def test_cuts_of_sums_of_images_keep_their_nearest_points():
             np.testing.assert_allclose(C.project(w + 3 * (v - w)), w, rtol=0, atol=1e-11)
 
 
+def test_a_hull_has_each_facet_once():
+    # Qhull has two equations for a facet of four points where rounding makes it a wedge
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        cube = so.Polytope(corners @ turn + 10 * random.normal(size=3))
+        assert len(cube.halfspaces().N) == 6
+
+
 def test_a_pair_says_how_far_rounding_moved_it():
     corner = 1.0 * np.array([1, 1, -1, -1])
     hull = so.Polytope(np.vstack([2 * corner, np.eye(4), -np.eye(4)]))

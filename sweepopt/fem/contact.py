@@ -142,7 +142,8 @@ class Yield(Brief):
 def _require_bounds(name: str, values: Any) -> None:
     """Refuse negative bounds of forces."""
     if np.min(values) < 0:
-        raise InputError(f"{name} must be >= 0, got {np.min(values):g}; give it an offset")
+        remedy = "; give it an offset" if "history" in name else ""
+        raise InputError(f"{name} must be >= 0, got {np.min(values):g}{remedy}")
 
 
 def by_history(

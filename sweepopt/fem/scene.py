@@ -301,6 +301,7 @@ def antiplane(
     scheme: str = "auto",
     solver: str = "auto",
     tol: float = 1e-6,
+    path: str = "auto",
     units: str = "dimensionless",
     title: str = "",
 ) -> Scene:
@@ -317,7 +318,7 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    u0, t_end, steps, scheme, solver, tol, units, title
+    u0, t_end, steps, scheme, solver, tol, path, units, title
         As for `body`.
 
     Returns
@@ -343,7 +344,7 @@ def antiplane(
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
     space = Discretisation(mesh, clamped, element, refinements)
-    return body(space, effects, u0, t_end, steps, scheme, solver, tol, units, title)
+    return body(space, effects, u0, t_end, steps, scheme, solver, tol, path, units, title)
 
 
 def body(
@@ -355,6 +356,7 @@ def body(
     scheme: str = "auto",
     solver: str = "auto",
     tol: float = 1e-6,
+    path: str = "auto",
     units: str = "dimensionless",
     title: str = "",
 ) -> Scene:
@@ -367,7 +369,7 @@ def body(
         Of each kind as many as there are; A from viscosity or dashpots is asked for.
     u0 : array_like of shape (dim,) or Initial, optional
         Initial values of the unknowns, or where they are from; zero by default.
-    t_end, steps, scheme, solver, tol, units, title
+    t_end, steps, scheme, solver, tol, path, units, title
         Kept in the scene. Histories must cover [0, t_end], or the times that `steps` lists;
         functions of time are called at the start once, to see what they return.
 
@@ -396,7 +398,7 @@ def body(
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)
     settings = {"t_end": t_end, "steps": steps, "units": units, "title": title}
-    return build(space, labelled, u0, settings | method(scheme, solver, tol))
+    return build(space, labelled, u0, settings | method(scheme, solver, tol, path))
 
 
 def method(

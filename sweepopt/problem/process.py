@@ -361,7 +361,7 @@ class SweepingProcess(Displayed):
                 )
         remedy = "loads and prescribed motions that begin slowly"
         D = getattr(self, "dissipation", None)
-        if D is not None and not D.contains(np.zeros(self.dim)):
+        if D is not None and D.exact and not D.contains(np.zeros(self.dim)):
             remedy = "a dissipation that contains 0, as so.Box(-g, g) for a friction bound g"
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give a "

@@ -443,7 +443,7 @@ def _of_interpolation(of: Interpolated, slopes: Array, sizes: list[Array]) -> li
     And to int |r'| in that of B, where the derivative is wrong by `slopes`.
     """
     pairs = (of.error, sizes[0]), (of.error, sizes[1]), (slopes, sizes[1])
-    return [np.where(e > 0, e * size, 0.0).sum(axis=1) for e, size in pairs]
+    return [np.where(e == 0, 0.0, e * size).sum(axis=1) for e, size in pairs]
 
 
 def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Array:

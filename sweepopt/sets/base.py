@@ -304,14 +304,13 @@ class Operators(Brief):
         raise InputError("w in C: write C.contains(w), of a set that moves C.at(t).contains(w)")
 
     def __or__(self, _: Any) -> Any:
-        raise InputError(
-            "C | D and C @ M are not defined: an intersection is C & D, an image M @ C, a union "
-            "is not convex"
-        )
+        raise InputError("C | D is not defined: a union is not convex; an intersection is C & D")
+
+    def __matmul__(self, _: Any) -> Any:
+        raise InputError("C @ M is not defined; an image is M @ C")
 
     __radd__ = __add__
     __mul__ = __rmul__
-    __matmul__ = __or__
 
 
 class _Required:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 HULL = 8  # dimensions up to which a hull is computed
 TURNS = 20  # changes of the face, for each vertex
+COPLANAR = 1e-13  # points of size 1 that are nearer to a facet's plane lie on it: a few roundings
 
 
 class _Face(NamedTuple):
@@ -125,10 +126,7 @@ class Polytope(ConvexSet):
     def halfspaces(self) -> Halfspaces:
         """The facets of the hull, in its affine span where it is flat."""
         points, span, centre, E = _in_span(self.vertices)
-        N = np.vstack([np.eye(len(span)), -np.eye(len(span))])  # in no or one dimension
-        if len(span) > 1:  # facets of more points than dimensions are simplices of one equation
-            N = np.unique(convex_hull(points).equations[:, :-1], axis=0)
-        d = (N @ points.T).max(axis=1)  # through the vertices to rounding
+        N, d = _facets(points)
         N, e = N @ span, E @ centre
         lengths = np.linalg.norm(N, axis=1)
         return Halfspaces(N / lengths[:, None], d / lengths + N @ centre / lengths, E, e)
@@ -177,3 +175,22 @@ def convex_hull(points: Array) -> ConvexHull:
         return ConvexHull(points)
     except QhullError as error:
         raise NoHalfspacesError("a hull whose facets are not found") from error
+
+
+def _facets(points: Array) -> tuple[Array, Array]:
+    """N and d of the hull of points that is not flat, each facet once, from all of its points."""
+    dim = points.shape[1]
+    N = np.vstack([np.eye(dim), -np.eye(dim)])  # in no or one dimension
+    if dim > 1:
+        hull, normals = convex_hull(points), []
+        left = np.ones(len(hull.simplices), dtype=bool)
+        while left.any():
+            first = int(left.argmax())
+            n, on = hull.equations[first, :-1], points @ hull.equations[first, :-1]
+            on = on + hull.equations[first, -1] > -COPLANAR
+            left &= ~on[hull.simplices].all(axis=1)
+            left[first] = False
+            better = np.linalg.svd(points[on] - points[on].mean(axis=0), False)[2][-1]
+            normals.append(better if better @ n > 0 else -better)
+        N = np.array(normals)
+    return N, (N @ points.T).max(axis=1)  # through the vertices to rounding

@@ -197,7 +197,7 @@ def _runs(
 
     @cache
     def exact(t: float, *u: float) -> Exact:
-        # the time as a step makes it: a load may change within a rounding unit of t
+        # the time as a step makes it
         return program.solve(np.array(u), process.C.at(t + mu))
 
     refused = "EmptySetError" if EMPTY in names else ""
