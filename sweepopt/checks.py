@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
 from inspect import signature
+from types import MappingProxyType
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -101,6 +102,7 @@ def from_table(
     kind: Callable[..., R],
     table: Any,
     read: Callable[[str, Any], Any] = lambda _, value: value,
+    missing: Mapping[str, str] = MappingProxyType({}),
     **given: Any,
 ) -> R:
     """What a function or a record makes of a table whose keys are its arguments.
@@ -111,12 +113,17 @@ def from_table(
         What errors put in front of a key, such as "effects.friction.".
     read : callable (key, value)
         Makes an argument of a value of the table.
+    missing : mapping of str to str
+        Ends of the message that a key is missing.
     given : dict
         Arguments that are no keys.
     """
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where.rstrip('.')}: must be a table, got {shown(table)}")
     keys = {name: one for name, one in signature(kind).parameters.items() if name not in given}
+    if not isinstance(table, Mapping):
+        paths = ", ".join(f"{where}{key}" for key in keys) or "none"
+        raise InputError(
+            f"{where.rstrip('.')}: must be a table, got {shown(table)}; its keys are: {paths}"
+        )
     known, meant = ", ".join(keys), getattr(kind, "meaning", {})
     faults = [
         f"{where}{key}: unknown key; there are: {known}{meant.get(key) or suggestion(key, keys)}"
@@ -124,7 +131,7 @@ def from_table(
         if key not in keys
     ]
     faults += [
-        f"{where}{key}: is missing"
+        f"{where}{key}: is missing{missing.get(key, '')}"
         for key, argument in keys.items()
         if argument.default is argument.empty and key not in table
     ]
@@ -157,7 +164,11 @@ def agree(**sizes: int) -> None:
             f"{name} is {size} x {size}" if name in "AB" else f"{name} has dim {size}"
             for name, size in sizes.items()
         )
-        raise InputError(f"{every}: give all the same number of unknowns; at odds: {odd}")
+        hint = ""
+        if sizes.get("dissipation", sizes.get("C")) == 1 < most:
+            g = f"g * np.ones({most})"
+            hint = f"; a bound g of each unknown is so.Box(-{g}, {g})"
+        raise InputError(f"{every}: give all the same number of unknowns; at odds: {odd}{hint}")
 
 
 def number(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 import tempfile
 import time as clock
@@ -17,7 +18,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from sweepopt import __version__
 from sweepopt.checks import count
@@ -96,8 +97,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return REFUSED
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says which command is near to a wrong one."""
+
+    def error(self, message: str) -> NoReturn:
+        _, _, choices = message.partition("invalid choice: ")
+        if choices:
+            word, *known = re.findall(r"\w+", choices)
+            message += suggestion(word, known)
+        super().error(message)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="sweepopt", description="Quasistatic evolution with friction, with certificates."
     )
     parser.add_argument("--version", action="version", version=__version__)

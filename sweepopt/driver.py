@@ -313,7 +313,7 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
     """
     last: float | None = None
     solution: Any = None
-    first, long = len(times), False
+    first, long, reason = len(times), False, ""
     while len(times) <= STEPS:
         try:
             solution = run(times)
@@ -334,7 +334,8 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
             return solution
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
         if last is not None and not bound < 0.9 * last:
-            break  # the bound has come down to what programs and sums round
+            reason = "finer grids do not help, as it does not fall any more"
+            break
         steps = factor * len(times)
         if last is not None and 1000 * first < steps <= STEPS and not long:
             long = True  # without a word such a run seems to hang
@@ -349,10 +350,11 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
         if math.isfinite(bound) and steps > most:
             break
         times = divided(times, max(math.ceil(min(factor, 8)), 2))  # the factor is an estimate
+    needed = f"{factor * len(solution.t):.0e} by the order of the scheme"
+    reason = reason or f"it takes more than {STEPS:g} steps, about {needed}"
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
-        f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "
-        f"steps (about {factor * len(solution.t):.0e} by the order of the scheme). Ask for less, "
+        f"{len(solution.t) - 1} steps, and {reason}. Ask for less, "
         'tighten tol, or take a scheme of second order, or "exact" where C(t) has flat faces and '
         "the load is data",
         solution,

@@ -32,11 +32,13 @@ def shown(value: object) -> str:
 def suggestion(word: object, known: Iterable[str]) -> str:
     """The known word that is nearest to an unknown one in any case, as the end of a message.
 
-    The part behind a hyphen is enough: "euler" and "backward-euler" are near "implicit-euler".
+    The part behind a hyphen is enough: "euler" and "backward-euler" are near "implicit-euler"; and
+    so are the first three letters.
     """
     words = {part: one for one in known for part in (one.lower().rpartition("-")[2], one.lower())}
     last = word.lower().rpartition("-")[2] if isinstance(word, str) else ""
     near = get_close_matches(last, words, 1)
+    near = near or [one for one in words if len(last) > 2 and one.startswith(last)]
     return f"; did you mean {words[near[0]]}?" if near else ""
 
 
@@ -233,7 +235,10 @@ def warn(message: str, category: type[SweepoptWarning]) -> None:
 
 
 class InitialStateWarning(SweepoptWarning):
-    """B u0 is not in C(0): with A coercive the solution exists, but it starts with a velocity."""
+    """B u0 is not in C(0): with A coercive the solution exists, but it starts with a velocity.
+
+    Of an `EvolutionVI`: f(0) - B u0 is not in the dissipation set, plus the polar cone of K.
+    """
 
 
 class VariationWarning(SweepoptWarning):

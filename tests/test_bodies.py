@@ -38,7 +38,8 @@ from sweepopt.fem import (
 )
 from sweepopt.fem.contact import Rows, Yield, slip_of
 
-pytestmark = pytest.mark.filterwarnings("ignore:B u0 is not in C")  # loads that start at once
+# loads that start at once
+pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
 KINDS = {"plane strain": [2.0, 1.0], "plane stress": [2.0, 1.0], "solid": [2.0, 1.0, 1.5]}
 MATERIAL = Viscosity(1.0), Elasticity(E=3.0, nu=0.3)

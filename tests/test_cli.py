@@ -291,6 +291,11 @@ def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
 
 @pytest.mark.parametrize("arguments, words", [
     (["run", "pipe", "--bounds"], "unrecognized argument --bounds; did you mean --bound?"),
+    (
+        ["rum", "pipe"],
+        "argument COMMAND: invalid choice: 'rum' (choose from 'list', 'run', 'effects', 'study', "
+        "'compare'); did you mean run?",
+    ),
     (["--bound", "run", "pipe"], "unrecognized argument --bound; put it after the command"),
     (
         ["run", "pipe", "tube"],
@@ -323,7 +328,7 @@ def test_our_warnings_are_one_line_without_a_source_file(scene, capsys):
         warnings.simplefilter("default")
         assert run("--steps", "2") == 0
     shown = capsys.readouterr().err
-    assert shown.startswith("sweepopt: warning: B u0 is not in C(0)")
+    assert shown.startswith("sweepopt: warning: f(0) - B u0 is not in the dissipation set")
     assert shown.count("\n") == 1
 
 

@@ -131,7 +131,7 @@ def test_discs_choose_the_path_and_rough_meshes_are_certified():
 
 
 def test_whether_the_start_is_inside_is_found_without_a_slow_projection():
-    with pytest.warns(InitialStateWarning, match=r"B u0 is not in C\(0\)"):
+    with pytest.warns(InitialStateWarning, match=r"f\(0\) - B u0 is not in the diss"):
         run(flow(12, ONE), path="auto")
 
 

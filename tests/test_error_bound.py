@@ -600,12 +600,12 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
         run("S03", 20, "midpoint", error=0)
     with pytest.raises(so.InputError, match="leave Adaptive out"):
         run("S03", so.Adaptive(1e-3), "midpoint", error=1e-2)
-    with pytest.raises(so.AccuracyError, match="finer grids do not help or take more") as caught:
+    with pytest.raises(so.AccuracyError, match="takes more than 1e") as caught:
         run("S01", 20, "midpoint", t_end=1.0, error=1e-18)
     assert caught.value.solution.success
     # given up once the order of the scheme shows that 1e8 steps would be needed, not after minutes
     load = so.Separable([(so.Sine(3.0, np.pi), 1.0)])
-    with pytest.raises(so.AccuracyError, match=r"\(about 9e\+07 by the order") as caught:
+    with pytest.raises(so.AccuracyError, match=r"takes more .* 9e\+07 by the order") as caught:
         so.solve(block(load), t_end=8.0, steps=100, error=1e-14)
     assert len(caught.value.solution.t) == 801
 

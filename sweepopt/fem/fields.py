@@ -249,8 +249,14 @@ class Coefficient(NamedTuple):
         """The data of x, y and z, or the one of an antiplane body, as a list."""
         parts = list(datum) if isinstance(datum, (list, tuple)) else [datum]
         if len(parts) != components:
-            form = f"[{', '.join('xyz'[:components])}]" if components > 1 else "one value"
-            raise InputError(f"{self.name} must be {form}, got {shown(datum)}")
+            form, kinds = f"[{', '.join('xyz'[:components])}]", ""
+            if components == 1:
+                form = "one value"
+                kinds = (
+                    "; displacements are numbers in a body of kind antiplane, the default, or "
+                    "lumped, and vectors in plane strain, plane stress and solid"
+                )
+            raise InputError(f"{self.name} must be {form}, got {shown(datum)}{kinds}")
         return parts
 
     def values(

@@ -619,7 +619,8 @@ def _valid_contribution(part: Any, space: Discretisation, own: bool) -> Contribu
         raise InputError("loads must hold pairs of a history and a vector: loads=[(history, f)]")
     for k, (phi, f) in enumerate(part.loads):
         if not callable(phi):
-            raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
+            field = "; only a field called history is read as a waveform" * isinstance(phi, Mapping)
+            raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}{field}")
         fits(f"loads[{k}]", vector(f"loads[{k}]", f(space.start) if callable(f) else f).size)
     for k, one in enumerate(part.yields):
         if not (isinstance(one, Yield) and hasattr(one.rows, "E")):

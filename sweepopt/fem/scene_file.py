@@ -13,6 +13,7 @@ from copy import deepcopy
 from inspect import signature
 from numbers import Integral, Real
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from sweepopt.checks import at_path, choice, count, from_table, listed, meaning, number
@@ -45,6 +46,8 @@ EFFECTS: dict[str, type] = {
     "maxwell": effects.MaxwellBranch,
 }
 """Effects by the name of their table in a scene file."""
+MEANT = {"gravity": "; did you mean body_force?"}
+"""What stands here for effects by another name."""
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""
@@ -204,17 +207,19 @@ def _assembled(
     data: Mapping[str, Any], folder: Path, changes: Mapping[str, Any], without: Sequence[str]
 ) -> Scene:
     """The scene of its tables."""
-    for key in set(data) & set(EFFECTS):
-        raise InputError(f"{key}: unknown key; did you mean effects.{key}?")
+    _require_places("", data)
     file = _called(_File, data, "", folder)
+    for name in ("domain", "time", "solve"):
+        _require_places(name, getattr(file, name))
     pictures = listed("pictures", file.pictures) if file.pictures else ()
     for name in pictures:
         choice("pictures", name, PICTURES)
     tables = effect_tables(file.effects)
-    chosen = {
-        label: _called(*tables[label], label, folder) for label in remaining(list(tables), without)
-    }
+    labels = remaining(list(tables), without)
     body = _called(Discretisation, file.domain, "domain", folder)
+    there = ", ".join(sorted(body.mesh.boundaries or {})) or "none"
+    missing = {"on": f"; the boundaries are: {there}"}
+    chosen = {label: _called(*tables[label], label, folder, missing) for label in labels}
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
     settings["changes"] = (
         *(f"{path} = {value!r}" for path, value in changes.items()),
@@ -225,7 +230,25 @@ def _assembled(
     return build(body, chosen, _called(Initial, file.initial, "initial", folder), settings)
 
 
-def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> Any:
+def _require_places(name: str, table: Any) -> None:
+    """Refuse a key that has its place in another table than the one of this name."""
+    places = dict.fromkeys(EFFECTS, "effects.")
+    kinds: dict[str, Any] = {"domain.": Discretisation, "time.": _time, "solve.": method, "": _File}
+    for path, kind in kinds.items():
+        places |= dict.fromkeys(signature(kind).parameters, path)
+    here = f"{name}." if name else ""
+    for key in table if isinstance(table, Mapping) else ():
+        if (place := places.get(key, here)) != here:
+            raise InputError(f"{here}{key}: unknown key; did you mean {place}{key}?")
+
+
+def _called(
+    kind: Callable[..., Any],
+    table: Any,
+    path: str,
+    folder: Path,
+    missing: Mapping[str, str] = MappingProxyType({}),
+) -> Any:
     """What a function or a record makes of a table whose keys are its arguments."""
     where = f"{path}." if path else ""
 
@@ -234,7 +257,7 @@ def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> An
             _require_plain(where + key, signature(kind).parameters[key].annotation, value)
         return _value(key, value, where + key, folder)
 
-    return from_table(where, kind, table, read)
+    return from_table(where, kind, table, read, missing)
 
 
 def _require_plain(path: str, annotation: Any, value: Any) -> None:
@@ -269,10 +292,8 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
         path = f"effects.{name}"
         if name not in EFFECTS:
             own = "; an effect of your own must be in sweepopt.fem.EFFECTS first"
-            raise InputError(
-                f"{path}: unknown key; there are: {', '.join(EFFECTS)}"
-                f"{suggestion(name, EFFECTS) or own}"
-            )
+            hint = MEANT.get(name) or suggestion(name, EFFECTS) or own
+            raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}{hint}")
         kind = EFFECTS[name]
         if not callable(kind) or (table and not signature(kind).parameters):
             raise InputError(
@@ -430,7 +451,10 @@ def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
         wanted = f"effects.{str(name).removeprefix('effects.')}"
         gone = [one for one in labels if one == wanted or one.startswith(f"{wanted}[")]
         if not gone:
-            there = ", ".join(one.removeprefix("effects.") for one in labels)
-            raise InputError(f"without: there is no effect {shown(name)}; there are: {there}")
+            names = [one.removeprefix("effects.") for one in labels]
+            raise InputError(
+                f"without: there is no effect {shown(name)}; there are: {', '.join(names)}"
+                f"{suggestion(name, names)}"
+            )
         kept = [one for one in kept if one not in gone]
     return kept

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import choice, count, floats
+from sweepopt.checks import choice, count, floats, meaning
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
@@ -51,6 +51,7 @@ BODY = "body"
 AXES = "xyz"
 
 
+@meaning(degree='; give element, "P1" or "P2"', order='; give element, "P1" or "P2"')
 @dataclass(frozen=True, eq=False, repr=False)
 class Discretisation(Brief):
     """Continuous piecewise polynomials on a mesh, with components held to zero on boundaries.
@@ -138,8 +139,8 @@ class Discretisation(Brief):
         given = ("clamped" if not self.held else ()) if self.clamped is None else self.clamped
         empty = isinstance(given, (list, tuple)) and not given
         names = () if empty else boundary_names("clamped", given)
-        object.__setattr__(self, "clamped", names)
         self.facets("clamped", names)
+        object.__setattr__(self, "clamped", names)
         self._check_held()
         if not self.dim:
             everything = ", ".join([*names, *self.held])
@@ -322,8 +323,9 @@ class Discretisation(Brief):
             if name not in boundaries:
                 known = ", ".join(sorted(boundaries)) or "none (give the mesh physical groups)"
                 known += "; nothing is clamped by clamped = []" * (name == "clamped")
+                default = "is missing, and its default " * (self.clamped is None)
                 raise InputError(
-                    f"{what}: {name!r} is not a boundary of the mesh; there are: {known}"
+                    f"{what}: {default}{name!r} is not a boundary of the mesh; there are: {known}"
                 )
             if np.any(self.mesh.f2t[1, boundaries[name]] >= 0):
                 raise InputError(f"{what}: {name!r} lies inside the body; name a boundary of it")

@@ -51,7 +51,10 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
     if times.size < 2 or not (np.diff(times) > 0).all():
         raise InputError("steps must hold at least two strictly increasing times")
     if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
-        raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
+        raise InputError(
+            f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out, or end them at "
+            f"{end:g}"
+        )
     mus = np.diff(times)
     order, rounding = np.argsort(mus), 4 * EPS * np.abs(times).max()
     group = np.zeros(len(mus), dtype=int)

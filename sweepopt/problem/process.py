@@ -141,8 +141,8 @@ class SweepingProcess(Displayed):
         if not isinstance(C, (ConvexSet, MovingSet)):
             raise InputError(
                 f"C must be a set or a moving set, got {shown(C)}; an interval is so.Box(-1, 1), "
-                "one that moves so.Moving(so.Box(-1, 1), center=f), and any C(t) that a function "
-                "returns so.MovingSet(function)"
+                "one that moves so.Moving(so.Box(-1, 1), center=f), sets of some unknowns each "
+                "so.product(*sets), and any C(t) that a function returns so.MovingSet(function)"
             )
         self.u0 = entries("u0", u0)
         agree(**sizes, C=C.dim, u0=self.u0.size)
@@ -163,10 +163,12 @@ class SweepingProcess(Displayed):
         self.time_scale = 0.0
         try:
             self.metric = Factor(self.A, "A")
-        except IndefiniteError:
+        except IndefiniteError as error:
             require_semidefinite("A", self.A)
             if self.B is None:
-                raise
+                raise IndefiniteError(
+                    f"{error}; A may be singular only where B is positive, and B is 0"
+                ) from None
             self._set_weak_metric(self.B)
         self.coercive = self.time_scale == 0.0
 
@@ -351,13 +353,14 @@ class SweepingProcess(Displayed):
         excess = _excess(force, C, nearest)
         if not excess.any():
             return False
-        where = f"B u0 is not in C({t:g}); its distance is {np.linalg.norm(excess):g}"
+        what, home = self._balance(t)
+        where = f"{what} is not in {home}; its distance is {np.linalg.norm(excess):g}"
         if not self.coercive:
             K = self.kernel
             if K.shape[1] and _excess(K.T @ force, image(K.T, C)).any():
                 raise InputError(
-                    f"{where}. A is 0 on its kernel, and no solution starts there: change u0, to "
-                    "so.compatible_start(process) for example"
+                    f"{where}, and A is singular: no velocity makes up for that, so that no "
+                    "solution starts there; change u0, to so.compatible_start(process) for example"
                 )
         remedy = "loads and prescribed motions that begin slowly"
         D = getattr(self, "dissipation", None)
@@ -365,10 +368,14 @@ class SweepingProcess(Displayed):
             remedy = "a dissipation that contains 0, as so.Box(-g, g) for a friction bound g"
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give a "
-            f"u0 with B u0 in C({t:g}), or {remedy}",
+            f"u0 with {what} in {home}, or {remedy}",
             InitialStateWarning,
         )
         return True
+
+    def _balance(self, t: float) -> tuple[str, str]:
+        """What is in which set if the body can be at rest, in words."""
+        return "B u0", f"C({t:g})"
 
     @cached_property
     def kernel(self) -> Matrix:
@@ -524,7 +531,7 @@ class EvolutionVI(SweepingProcess):
         A, B, sizes = _matrices(A, B)
         for name, given in (("dissipation", dissipation), ("cone", cone)):
             if given is not None and not isinstance(given, ConvexSet):
-                remedy = "a friction bound g is so.Box(-g, g)"
+                remedy = "a friction bound g is so.Box(-g, g), a list of sets so.product(*sets)"
                 if name == "cone":
                     remedy = "velocities >= 0 are so.Orthant(n)"
                 elif isinstance(given, type):
@@ -561,6 +568,11 @@ class EvolutionVI(SweepingProcess):
             C = moved = Moving(-D, center=self.load)
             moved.center_name = "load"
         super().__init__(A, B, C, u0, fields)
+
+    def _balance(self, t: float) -> tuple[str, str]:
+        names = {"the dissipation set": self.dissipation, "the polar cone of K": self.cone}
+        home = " + ".join(name for name, given in names.items() if given is not None)
+        return f"f({t:g}) - B u0", home or "{0}"
 
 
 def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:

@@ -61,6 +61,7 @@ TRIED = {
     "v": "the velocities are velocity, one row a step",
     "displacement": "the states are u; those of a body at its nodes are scene.displacement(sol)",
     "z": "the velocities are velocity, one row a step",
+    "error": "a bound of the error is error_bound()",
     "certificate": "certificates are stats['certificate'], one a step",
 }
 """Names that users try, those of SciPy's solve_ivp first, and what stands here for them."""
