@@ -334,7 +334,8 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
             return solution
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
         if last is not None and not bound < 0.9 * last:
-            reason = "finer grids do not help, as it does not fall any more"
+            # it has come down to what programs and sums round
+            reason = "finer grids do not help; ask for less, or tighten tol"
             break
         steps = factor * len(times)
         if last is not None and 1000 * first < steps <= STEPS and not long:
@@ -350,13 +351,14 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
         if math.isfinite(bound) and steps > most:
             break
         times = divided(times, max(math.ceil(min(factor, 8)), 2))  # the factor is an estimate
-    needed = f"{factor * len(solution.t):.0e} by the order of the scheme"
-    reason = reason or f"it takes more than {STEPS:g} steps, about {needed}"
+    reason = reason or (
+        f"it takes more than {STEPS:g} steps, about {factor * len(solution.t):.0e} by the order of "
+        'the scheme; ask for less, or take a scheme of second order, or "exact" where C(t) has '
+        "flat faces and the load is data"
+    )
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
-        f"{len(solution.t) - 1} steps, and {reason}. Ask for less, "
-        'tighten tol, or take a scheme of second order, or "exact" where C(t) has flat faces and '
-        "the load is data",
+        f"{len(solution.t) - 1} steps, and {reason}",
         solution,
     )
 

@@ -603,6 +603,11 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
     with pytest.raises(so.AccuracyError, match="takes more than 1e") as caught:
         run("S01", 20, "midpoint", t_end=1.0, error=1e-18)
     assert caught.value.solution.success
+    # rounding of a large u is left
+    pull = so.Separable([(so.Polynomial([2e6, 1.5]), 1.0)])
+    process = so.EvolutionVI(0.5, 2.0, load=pull, dissipation=so.Box(-1, 1), u0=1e6)
+    with pytest.raises(so.AccuracyError, match="do not help; ask for less, or tighten tol"):
+        so.solve(process, t_end=1.0, steps=4, scheme="exact", error=1e-9)
     # given up once the order of the scheme shows that 1e8 steps would be needed, not after minutes
     load = so.Separable([(so.Sine(3.0, np.pi), 1.0)])
     with pytest.raises(so.AccuracyError, match=r"takes more .* 9e\+07 by the order") as caught:
