@@ -327,7 +327,7 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
         "energy": ""
         if report.scene.lifts  # those of what is held are not known
         else f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
-        f"+ viscous {energy.viscous[-1]:.4g} + friction {energy.friction[-1]:.4g} "
+        f"+ viscous {energy.viscous[-1]:.4g} + friction and yielding {energy.friction[-1]:.4g} "
         f"{-energy.balance[-1]:+.1e}{joule} (error of the scheme)",
         "worst certificate": f"{solution.stats['relative'].max():.1e} (relative)",
         "written": f"{folder}: {', '.join(named)}",

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -65,12 +65,12 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
         import matplotlib.pyplot as pyplot
     panels = _panels(solution, pyplot.figure(figsize=(8.0, 4.5), layout="constrained"))
     if len(panels) == 2:
-        t = _middles(solution, 5)
-        sets = _along(solution, t).sets
+        _, t = _middles(solution, 5)
+        _, sets = _forces(solution, t)
         for look, time, C in zip(LOOKS[1:], t, sets, strict=False):
             if (points := C.outline()).size:
-                panels[1].plot(*points.T, **look, lw=1.0, label=f"C({time:.3g})")
-        panels[1].legend(fontsize="small")
+                panels[1].plot(*points.T, **look, lw=1.0, label=f"C(t), t = {time:.3g}")
+        legend_above(panels[1], 2)
     return panels[0]
 
 
@@ -96,7 +96,7 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
     panels = _panels(solution, figure)
     t = solution.t[1:][frame_steps(solution)]
     if paths := len(panels) == 2:
-        u, _, force, sets = _along(solution, t)
+        u, (force, sets) = solution(t), _forces(solution, t)
         outlines = [C.outline() for C in sets]
         panels[1].update_datalim(np.concatenate(outlines))
 
@@ -134,26 +134,30 @@ def _panels(solution: Solution, figure: Any) -> Any:
         raise InputError("the run has no complete step to draw")
     if dim > 2 or not isinstance(solution.process, SweepingProcess):
         return [_components(solution, figure.subplots())]
-    t = _middles(solution, 1000)
-    _, velocity, force, sets = _along(solution, t)
+    ends, t = _middles(solution, 1000)
+    force, sets = _forces(solution, t)
     if dim == 2:
         panels = figure.subplots(1, 2)
         for panel, path, name in zip(panels, (solution.u, force), ("u", "force"), strict=True):
             panel.plot(*path.T, "-o", markevery=[0], color=COLOURS[0], label=f"{name}, o: start")
             panel.set(xlabel=f"{name}[0]", ylabel=f"{name}[1]")
             panel.set_aspect("equal", adjustable="datalim")
-            panel.legend(fontsize="small")
+            legend_above(panel, 2)
         return panels
     panels = figure.subplots(3, sharex=True)
     _components(solution, panels[0])
-    panels[1].plot(t, velocity, color=COLOURS[0])
-    panels[2].plot(t, force, color=COLOURS[0], label="A u' + B u")
+    line: Any = {"baseline": None, "color": COLOURS[0], "lw": 1.5}
+    panels[1].stairs(solution.velocity[:, 0], solution.t, **line)
+    # over all of a step what it has in its middle, as u' jumps between steps
+    panels[2].stairs(force[:, 0], ends, label="A u' + B u", **line)
     if all(C.exact for C in sets):
-        ends = np.array([[-C.support(np.array([-1.0])), C.support(np.ones(1))] for C in sets])
-        panels[2].fill_between(t, *ends.T, color=STICK, alpha=0.3, label="C(t)")
+        low, high = np.transpose([(-C.support(-np.ones(1)), C.support(np.ones(1))) for C in sets])
+        look = {"fill": True, "alpha": 0.3, "label": "C(t)"}
+        panels[2].stairs(high, ends, baseline=low, color=STICK, **look)
     panels[2].legend(fontsize="small")
     for panel, name in zip(panels, ("u", "u'", "force"), strict=True):
         panel.set(xlabel="t", ylabel=name)
+        panel.label_outer()
     return panels
 
 
@@ -171,29 +175,23 @@ def _components(solution: Solution, ax: Any) -> Any:
     return ax
 
 
-def _middles(solution: Solution, most: int) -> np.ndarray:
-    """The middles of at most so many of the kept steps, where the force is in C(t) to order two."""
+def _middles(solution: Solution, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """The start and the ends of at most so many of the kept steps, and their middles.
+
+    In the middle of a step the force is in C(t) to order two.
+    """
     some = evenly(len(solution.steps), most)
     mu = np.diff(solution.stats["t"], prepend=solution.t[0])[solution.steps[some]]
-    return np.asarray(solution.t[1:][some] - mu / 2)
+    return solution.t[np.append(0, some + 1)], solution.t[1:][some] - mu / 2
 
 
-class _Along(NamedTuple):
-    """u, u', A u' + B u and C(t) at some times."""
-
-    u: np.ndarray
-    velocity: np.ndarray
-    force: np.ndarray
-    sets: list[ConvexSet]
-
-
-def _along(solution: Solution, t: np.ndarray) -> _Along:
-    """What a run does at times in kept steps; of a node the velocity is that before it."""
+def _forces(solution: Solution, t: np.ndarray) -> tuple[np.ndarray, list[ConvexSet]]:
+    """A u' + B u and C(t) at times in kept steps; of a node the velocity is that before it."""
     process, u = solution.process, solution(t)
     velocity = solution.velocity[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
     force = [process.A @ z + process.times_B(x) for z, x in zip(velocity, u, strict=True)]
     sets = [process.set_at(float(time), x) for time, x in zip(t, u, strict=True)]
-    return _Along(u, velocity, np.array(force), sets)
+    return np.array(force), sets
 
 
 def new_figure(size: tuple[float, float]) -> Any:
@@ -265,6 +263,11 @@ def draw_histories(
     if stuck.any():
         ax.plot([], [], color=STICK, label="sticks", **wide)
     ax.grid(alpha=0.3)
+
+
+def legend_above(panel: Any, columns: int) -> None:
+    """A legend of the panel's lines above it, where it covers none of them."""
+    panel.legend(fontsize="small", ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 class _Called(ModuleType):

@@ -98,7 +98,8 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
     work, stored, spent, rubbed, rest = map(
         float,
         re.search(
-            r"work (\S+) J m-1 = stored (\S+) \+ viscous (\S+) \+ friction (\S+) (\S+) J", shown.out
+            r"work (\S+) J m-1 = stored (\S+) \+ viscous (\S+) \+ \S+ and \S+ (\S+) (\S+) J",
+            shown.out,
         ).groups(),
     )
     assert 0 < abs(rest) < 0.1 * work

@@ -195,7 +195,7 @@ Variables = dict[str, tuple[str, str, Any, str]]
 ENERGIES = {
     "stored": "change of elastic energy",
     "viscous": "lost to viscosity",
-    "friction": "lost to friction",
+    "friction": "lost to friction and yielding",
     "work": "work of the loads",
 }
 STATE = "unknowns at the end of the run, internal ones such as plastic strains too"

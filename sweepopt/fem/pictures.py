@@ -16,7 +16,16 @@ from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
 from sweepopt.io import replacing, writable
-from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, even_steps, new_figure, spread
+from sweepopt.plot import (
+    LOOKS,
+    STICK,
+    STYLES,
+    draw_histories,
+    even_steps,
+    legend_above,
+    new_figure,
+    spread,
+)
 
 if TYPE_CHECKING:
     from sweepopt.fem.scene import Scene
@@ -98,9 +107,9 @@ def draw(report: Report, name: str) -> Any:
     """
     if reason := refusal(report.scene, name):
         raise InputError(f"picture: {reason}")
-    if name in FIELDS:
-        return snapshots.picture(report, FIELDS[name])
-    return DRAWN[name](report)
+    figure = snapshots.picture(report, FIELDS[name]) if name in FIELDS else DRAWN[name](report)
+    figure.suptitle(report.scene.title, fontsize="medium")
+    return figure
 
 
 def animate(report: Report, path: str | Path, name: str = "") -> Path:
@@ -152,7 +161,7 @@ def contact(report: Report) -> Any:
     places = [f"{names[node]}, {length(float(f'{arc[node]:.3g}'))}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
     name_axis(report, moved.yaxis, "displacement", "length")
-    _legend_above(moved)
+    legend_above(moved, 5)
     traction.set(ylabel="traction / bound,\nmean of each step", ylim=(-1.15, 1.15))
     if loaded:
         _, load, (_, name) = driven(report.scene, report.solution)
@@ -188,10 +197,11 @@ def profiles(report: Report) -> Any:
     chosen = even_steps(report.solution, 5)
     for i, look in zip(chosen.tolist(), LOOKS, strict=False):
         label = f"t = {slip.t[i + 1]:.4g}{report.suffix('time')}"
-        moved.plot(arc, slip.displacement[i + 1, inside], label=label, **look)
-        traction.plot(arc, slip.traction[i, inside], **look)
-    traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8)
-    _legend_above(moved)
+        moved.plot(arc, slip.displacement[i + 1, inside], **look)
+        traction.plot(arc, slip.traction[i, inside], label=label, **look)
+    names = ["bound, t = 0", "_"]  # of two lines one is in the legend
+    traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8, label=names)
+    legend_above(traction, 3)
     name_axis(report, moved.yaxis, "displacement", "length")
     name_axis(report, traction.xaxis, _place(slip)[1], "length")
     name_axis(report, traction.yaxis, "friction traction", "traction")
@@ -245,11 +255,6 @@ def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
         for M, motion in motions
         if M is not None
     )
-
-
-def _legend_above(panel: Any) -> None:
-    """A legend of the panel's lines above it."""
-    panel.legend(fontsize="small", ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def _place(slip: Slip) -> tuple[Array, str]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
-SIZE = "magnitude |u| of the displacement"
+OUT, SIZE = "displacement out of the plane", "magnitude |u| of the displacement"
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 
 
@@ -81,7 +81,10 @@ def animation(report: Report, field: At, path: Path) -> None:
 
 
 def displacement(report: Report, steps: Array) -> Field:
-    """The displacement of a body in the plane, or over x along a line, and where it slips."""
+    """The displacement of a body in the plane, or over x along a line, and where it slips.
+
+    A section whose displacement is in its plane is drawn deformed.
+    """
     from matplotlib.collections import LineCollection
 
     body, legend = report.body, states_of(report.slip)
@@ -100,7 +103,10 @@ def displacement(report: Report, steps: Array) -> Field:
         if hasattr(one, "pulled")
         for name in boundary_names(f"{type(one).__name__}.pulled", one.pulled)
     ]
-    arcs, look = [(body.mesh.boundary_facets(), "black", 0.6)], colours_of(u)
+    arcs, look, label = [(body.mesh.boundary_facets(), "black", 0.6)], colours_of(u), OUT
+    moved = np.broadcast_to(x, (len(steps), *x.shape))
+    if body.components > 1:
+        moved, label = _moved(report, steps, SIZE)
     clamped = [name for name in body.clamped or () if name not in pulled]
     for what, names, colour in (("clamped", clamped, "black"), ("pulled", pulled, PULLED)):
         if names:
@@ -109,14 +115,13 @@ def displacement(report: Report, steps: Array) -> Field:
 
     def draw(panel: Any, i: int) -> Any:
         for facets, colour, width in arcs:
-            edges: Any = x[body.facet_nodes(facets).T]
+            edges: Any = moved[i][body.facet_nodes(facets).T]
             panel.add_collection(LineCollection(edges, colors=colour, lw=width))
-        image = _fill(report, panel, u[i], **look)
-        _mark(report, panel, steps[i], x)
+        image = _fill(report, panel, moved[i], u[i], **look)
+        _mark(report, panel, steps[i], moved[i])
         return image
 
-    label = "displacement out of the plane" if body.components == 1 else SIZE
-    return Field(draw, x, label, "length", legend)
+    return Field(draw, moved.reshape(-1, 2), label, "length", legend)
 
 
 def surface(report: Report, steps: Array) -> Field:
@@ -141,20 +146,17 @@ def _deformed(
 ) -> Field:
     """The surface of a solid, seen from its contact, with a value on each of its faces.
 
-    The largest displacement is drawn as a tenth of the body's length; the bar of colours says how
-    many times as large that is. PyVista draws it, where it is there, else matplotlib.
+    PyVista draws it, where it is there, else matplotlib.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize, to_rgba_array
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     body, contact = report.body, report.scene.contact
-    u, triangles = report.at("displacement", steps), body.triangles
-    factor = 0.1 * np.ptp(body.points, axis=0).max() / (signed_lengths(u).max() or 1.0)
-    moved, look = body.points + factor * u, colours_of(faces, rising)
+    moved, label = _moved(report, steps, label)
+    triangles, look = body.triangles, colours_of(faces, rising)
     faces = np.tile(faces, len(triangles) // faces.shape[1])  # the parts of a P2 element
     below = contact is not None and contact.points[:, 2].mean() < body.points[:, 2].mean()
-    label = f"{label}\n(drawn {factor:.2g} times as large)"
     legend = states_of(report.slip)
 
     def render(panel: Any, i: int) -> Any:
@@ -189,6 +191,16 @@ def _deformed(
     return Field(draw, moved.reshape(-1, 3), label, quantity, legend)
 
 
+def _moved(report: Report, steps: Array, label: str) -> tuple[Array, str]:
+    """The nodes of a deformed body, and the label of a bar of colours that says how far.
+
+    The largest displacement is drawn as a tenth of the body's length.
+    """
+    u, x = report.at("displacement", steps), report.body.points
+    factor = 0.1 * np.ptp(x, axis=0).max() / (signed_lengths(u).max() or 1.0)
+    return x + factor * u, f"{label}\n(drawn {factor:.2g} times as large)"
+
+
 def flow(report: Report, steps: Array) -> Field:
     """The velocity of a section, and what is rigid in it.
 
@@ -202,10 +214,10 @@ def flow(report: Report, steps: Array) -> Field:
     look, flat = colours_of(velocity), ListedColormap([STICK, PLUG])
 
     def draw(panel: Any, i: int) -> Any:
-        image = _fill(report, panel, velocity[i], **look)
+        image = _fill(report, panel, body.points, velocity[i], **look)
         corners = velocity[i, body.triangles]
         rigid = np.ma.array(corners[:, 0] != 0, mask=np.ptp(corners, axis=1) > 0)
-        _fill(report, panel, facecolors=rigid, vmin=0, vmax=1, cmap=flat)
+        _fill(report, panel, body.points, facecolors=rigid, vmin=0, vmax=1, cmap=flat)
         return image
 
     legend = {PLUG: "moves as a rigid body", STICK: "rests"}
@@ -227,7 +239,8 @@ def _in_cells(
     parts = len(body.triangles) // values.shape[1]  # of a P2 element
 
     def draw(panel: Any, i: int) -> Any:
-        return _fill(report, panel, facecolors=np.ma.concatenate(parts * [values[i]]), **look)
+        cells = np.ma.concatenate(parts * [values[i]])
+        return _fill(report, panel, body.points, facecolors=cells, **look)
 
     return Field(draw, body.points, label, quantity, legend)
 
@@ -247,8 +260,9 @@ def arrows(report: Report, steps: Array) -> Field:
         return panel.scatter(*x.T, c=use[i], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
 
     axes = tuple("xyz"[k] for k in plane)
+    label = "friction traction / bound,\nmean of each step"
     longest = f"slip velocity, the longest arrow {speed.max():.2g}{report.suffix('velocity')}"
-    return Field(draw, x, "friction traction / bound", "", {"black": longest}, axes)
+    return Field(draw, x, label, "", {"none": f"\N{LONG RIGHTWARDS ARROW} {longest}"}, axes)
 
 
 def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
@@ -276,12 +290,12 @@ def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
 
 
 def legend_of(figure: Any, names: Mapping[str, str]) -> None:
-    """What colours mean, above all panels."""
+    """What colours mean, below all panels."""
     from matplotlib.patches import Patch
 
     handles = [Patch(color=colour, label=name) for colour, name in names.items()]
     if handles:
-        figure.legend(handles=handles, ncols=3, fontsize="small", loc="outside upper center")
+        figure.legend(handles=handles, ncols=3, fontsize="small", loc="outside lower center")
 
 
 def states_of(slip: Slip | None) -> dict[str, str]:
@@ -294,13 +308,11 @@ def states_of(slip: Slip | None) -> dict[str, str]:
     return {STATE_COLOURS[k]: name for k, name in names.items() if (slip.state == k).any()}
 
 
-def _fill(report: Report, panel: Any, *values: Array, **look: Any) -> Any:
+def _fill(report: Report, panel: Any, points: Array, *values: Array, **look: Any) -> Any:
     """Values at the nodes of a body in the plane, or `facecolors` of its triangles."""
-    body = report.body
+    look |= {"shading": "gouraud" if values else "flat", "rasterized": True}
     panel.set_aspect("equal")
-    shading = "gouraud" if values else "flat"
-    x, y = body.points.T
-    return panel.tripcolor(x, y, body.triangles, *values, shading=shading, rasterized=True, **look)
+    return panel.tripcolor(*points.T, report.body.triangles, *values, **look)
 
 
 def _mark(report: Report, panel: Any, step: int, points: Array, **look: Any) -> None:
