@@ -153,7 +153,7 @@ def by_history(
 
     None where a bound moves in another way.
     """
-    still: list[Yield] = []
+    constant: list[Yield] = []
     moving: dict[int, tuple[Any, list[Yield]]] = {}
     for one in yields:
         if isinstance(one.g, Separable) and len(one.g.terms) == 1:
@@ -162,8 +162,8 @@ def by_history(
         elif callable(one.g):
             return None
         else:
-            still.append(one)
-    return still, list(moving.values())
+            constant.append(one)
+    return constant, list(moving.values())
 
 
 def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:

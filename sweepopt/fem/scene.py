@@ -571,9 +571,9 @@ def _problem(
     C = MovingSet(at, A.shape[0], histories)
     if (parts := by_history(yields)) is not None:
         rest, moving = parts
-        still: Any = -dissipation(rest)() if rest else Point(np.zeros(A.shape[0]))
+        constant: Any = -dissipation(rest)() if rest else Point(np.zeros(A.shape[0]))
         scaled = tuple((phi, -dissipation(some)()) for phi, some in moving)
-        C.summands = Summands(() if force is None else force.terms, still, scaled)
+        C.summands = Summands(() if force is None else force.terms, constant, scaled)
     return SweepingProcess(A, B, C, u0, fields)
 
 

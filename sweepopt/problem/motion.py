@@ -169,12 +169,12 @@ def motion(C: AnySet) -> Motion:
     if isinstance(C, Moving):
         scale = ONE if C.scale is None else TimeFunction.of(C.scale, 1)
         return Motion(((scale, C.shape),), TimeFunction.of(C.center, C.dim), name=C.center_name)
-    still = TimeFunction((), C.dim)
+    zero = TimeFunction((), C.dim)
     if isinstance(C, MovingOffsets):
         offsets = TimeFunction.of(C.offsets, C.shape.offsets.size)
-        return Motion(((ONE, C.shape),), still, offsets, "h")
+        return Motion(((ONE, C.shape),), zero, offsets, "h")
     if isinstance(C, ConvexSet):
-        return Motion(((ONE, C),), still)
+        return Motion(((ONE, C),), zero)
     if C.summands is None:
         return Motion((), TimeFunction((), C.dim, C.at))
     terms, S, scaled = C.summands

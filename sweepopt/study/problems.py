@@ -45,18 +45,19 @@ class Problem:
 
     def process(self) -> SweepingProcess:
         """The process, built anew."""
-        load = loads.Separable(
-            (made(loads, {history: arguments}), direction)
-            for (history, arguments), (_, direction) in map(dict.items, self.load)
-        )
+        terms = []
+        for term in self.load:
+            (history, arguments), (_, direction) = term.items()
+            terms.append((construct(loads, {history: arguments}), direction))
+        load = loads.Separable(terms)
         if "Polyhedron" in self.set:
-            C = made(sets, {"Polyhedron": [*self.set["Polyhedron"], load]})
+            C = construct(sets, {"Polyhedron": [*self.set["Polyhedron"], load]})
         else:
-            C = sets.Moving(made(sets, self.set), load)
+            C = sets.Moving(construct(sets, self.set), load)
         return SweepingProcess(self.A, self.B, C, self.u0)
 
 
-def made(room: Any, entry: dict[str, Any], *given: Any) -> Any:
+def construct(room: Any, entry: dict[str, Any], *given: Any) -> Any:
     """What a room's function of that name makes of what is given and of its arguments in a file."""
     ((name, arguments),) = entry.items()
     return getattr(room, name)(*given, *arguments)

@@ -23,7 +23,7 @@ from sweepopt.study.hard import bodies
 from sweepopt.study.hard.bodies import Random, between, chain, spectral
 from sweepopt.study.hard.exact import Exact, Program
 from sweepopt.study.hard.suite import TARGET, Judgement, run_case
-from sweepopt.study.problems import made
+from sweepopt.study.problems import construct
 
 Names = Sequence[str]
 
@@ -58,15 +58,15 @@ def entry_of(table: Mapping[str, Any], names: Names) -> Any:
 
 def make(names: Names, random: Random) -> SweepingProcess:
     """The process that these ingredients and a seed make."""
-    A = made(bodies, entry_of(MATRICES, names), random)
+    A = construct(bodies, entry_of(MATRICES, names), random)
     n = len(A)
-    few, part, edge, block = made(bodies, entry_of(CONTACTS, names), random, n)
+    few, part, edge, block = construct(bodies, entry_of(CONTACTS, names), random, n)
     length, force = entry_of(UNITS, names) or (2.0 ** random.integers(-40, 41, n), 1.0)
     units = length * np.ones(n)
     units[few] = np.repeat(units[few[::block]], block)
     _, _, start, *factors = entry_of(HISTORIES, names)
     terms: list[Any] = [
-        (made(loads, factor), force * units * _load(names, random, n, few, edge))
+        (construct(loads, factor), force * units * _load(names, random, n, few, edge))
         for factor in factors
     ]
     B = entry_of(STIFFNESS, names)(random, A)
