@@ -359,6 +359,9 @@ def test_a_run_without_an_exact_trajectory_says_which_scheme_has_one():
 
 def test_a_name_that_other_libraries_have_says_what_stands_here_for_it():
     process = so.EvolutionVI(0.5, 2.0, load=so.Sine(1.0, 1.0), u0=0.0)
+    with pytest.raises(AttributeError, match=r"EvolutionVI has no attribute solve; .* so\.solve\("):
+        process.solve(t_end=1.0)
+    assert not hasattr(process, "steps")
     sol = so.solve(process, t_end=1.0, steps=2)
     with pytest.raises(AttributeError, match="Solution has no attribute y; the states are u"):
         sol.y  # noqa: B018

@@ -370,8 +370,22 @@ def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):
 def test_a_section_is_drawn_with_the_stress_of_its_cells(run):
     figure = draw(run, "stress")
     stress = run.scene.stress(run.solution)
-    (drawn,) = figure.axes[5].collections
+    outline, drawn = figure.axes[5].collections
     np.testing.assert_array_equal(drawn.get_array(), np.tile(stress[-1], 4))
+    body = run.scene.discretisation
+    facets = body.facet_nodes(body.mesh.boundary_facets()).T
+    np.testing.assert_array_equal(outline.get_segments(), body.points[facets])
+
+
+@pytest.mark.parametrize("cone, sides", [(so.Orthant(1), 1), (so.WholeSpace(1), 2)])
+def test_a_set_without_bound_is_drawn_to_the_end_of_the_axes(cone, sides):
+    C = so.Moving(cone, center=lambda t: t - 1.0)
+    sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.5), t_end=1.0, steps=20)
+    *_, force = sol.plot().figure.axes
+    band = next(one for one in force.patches if one.get_label() == "C(t)")
+    low, high = band.get_data().baseline, band.get_data().values
+    assert np.isfinite([low, high]).all()
+    assert [np.ptp(high), np.ptp(low)].count(0.0) == sides
 
 
 def test_a_section_that_moves_in_its_plane_is_drawn_deformed_with_its_title():

@@ -104,21 +104,21 @@ def displacement(report: Report, steps: Array) -> Field:
         if hasattr(one, "pulled")
         for name in boundary_names(f"{type(one).__name__}.pulled", one.pulled)
     ]
-    arcs, look, label = [(body.mesh.boundary_facets(), "black", 0.6)], colours_of(u), OUT
+    arcs, look, label = list[Any](), colours_of(u), OUT
     moved = np.broadcast_to(x, (len(steps), *x.shape))
     if body.components > 1:
         moved, label = _moved(report, steps, SIZE)
     clamped = [name for name in body.clamped or () if name not in pulled]
     for what, names, colour in (("clamped", clamped, "black"), ("pulled", pulled, PULLED)):
         if names:
-            arcs.append((body.facets(what, names)[0], colour, 3.0))
+            arcs.append((body.facets(what, names)[0], colour))
             legend[colour] = what
 
     def draw(panel: Any, i: int) -> Any:
-        for facets, colour, width in arcs:
-            edges: Any = moved[i][body.facet_nodes(facets).T]
-            panel.add_collection(LineCollection(edges, colors=colour, lw=width))
         image = _fill(report, panel, moved[i], u[i], **look)
+        for facets, colour in arcs:
+            edges: Any = moved[i][body.facet_nodes(facets).T]
+            panel.add_collection(LineCollection(edges, colors=colour, lw=3.0))
         _mark(report, panel, steps[i], moved[i])
         return image
 
@@ -328,7 +328,11 @@ def states_of(slip: Slip | None) -> dict[str, str]:
 
 
 def _fill(report: Report, panel: Any, points: Array, *values: Array, **look: Any) -> Any:
-    """Values at the nodes of a body in the plane, or `facecolors` of its triangles."""
+    """Values at the nodes of a body in the plane, or `facecolors` of its triangles, outlined."""
+    from matplotlib.collections import LineCollection
+
+    edges: Any = points[report.body.facet_nodes(report.body.mesh.boundary_facets()).T]
+    panel.add_collection(LineCollection(edges, colors="black", lw=0.6))
     look |= {"shading": "gouraud" if values else "flat", "rasterized": True}
     panel.set_aspect("equal")
     return panel.tripcolor(*points.T, report.body.triangles, *values, **look)
