@@ -14,7 +14,15 @@ from sweepopt.fem import output, snapshots
 from sweepopt.fem.contact import Slip
 from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
-from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
+from sweepopt.fem.snapshots import (
+    STATE_COLOURS,
+    clock,
+    colours_of,
+    legend_of,
+    moment,
+    name_axis,
+    states_of,
+)
 from sweepopt.io import replacing, writable
 from sweepopt.plot import (
     LOOKS,
@@ -146,6 +154,7 @@ def contact(report: Report) -> Any:
 
     slip: Any = report.slip
     figure, loaded = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
+    _, seconds = clock(report)
     panels = figure.subplots(3 + loaded, 1, sharex=True)
     zone, moved, traction = panels[:3]
     colours = ListedColormap(list(STATE_COLOURS.values()))
@@ -154,18 +163,20 @@ def contact(report: Report) -> Any:
     nodes, arc = spread(slip.total, len(STYLES)), slip.contact.arc
     for node, look in zip(nodes, LOOKS, strict=False):
         zone.axhline(arc[node], **look)
-        traction.plot(slip.stage_t, slip.use[:, node], **look)
+        traction.plot(slip.stage_t / seconds, slip.use[:, node], **look)
     # in the unit of the axis that shows them
     length = zone.yaxis.get_major_formatter() if report.suffix("length") else "{:g}".format
     names = slip.contact.boundary
     places = [f"{names[node]}, {length(float(f'{arc[node]:.3g}'))}" for node in nodes]
-    draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
+    draw_histories(
+        moved, slip.t / seconds, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places
+    )
     name_axis(report, moved.yaxis, "displacement", "length")
     legend_above(moved, 5)
     traction.set(ylabel="traction / bound,\nmean of each step", ylim=(-1.15, 1.15))
     if loaded:
         _, load, (_, name) = driven(report.scene, report.solution)
-        panels[3].plot(slip.t, load, color="black")
+        panels[3].plot(slip.t / seconds, load, color="black")
         name_axis(report, panels[3].yaxis, name, "force")
     name_axis(report, panels[-1].xaxis, "time", "time")
     legend_of(figure, states_of(slip))
@@ -196,9 +207,8 @@ def profiles(report: Report) -> Any:
     arc, bound = arc[inside], slip.contact.bound[inside]
     chosen = even_steps(report.solution, 5)
     for i, look in zip(chosen.tolist(), LOOKS, strict=False):
-        label = f"t = {slip.t[i + 1]:.4g}{report.suffix('time')}"
         moved.plot(arc, slip.displacement[i + 1, inside], **look)
-        traction.plot(arc, slip.traction[i, inside], label=label, **look)
+        traction.plot(arc, slip.traction[i, inside], label=moment(report, slip.t[i + 1]), **look)
     names = ["bound, t = 0", "_"]  # of two lines one is in the legend
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8, label=names)
     legend_above(traction, 3)
@@ -213,8 +223,8 @@ def loop(report: Report) -> Any:
     figure = new_figure((6.0, 5.0))
     panel = figure.subplots()
     x, load, words = driven(report.scene, report.solution)
-    panel.plot(x, load, **LOOKS[0])
-    name_axis(report, panel.xaxis, words[0], "length")
+    panel.plot(x, load, "k-o", markevery=[0])
+    name_axis(report, panel.xaxis, f"{words[0]} (dot: start)", "length")
     name_axis(report, panel.yaxis, words[1], "force")
     panel.grid(alpha=0.3)
     return figure
@@ -271,7 +281,8 @@ def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: An
     x = place[order]
     edges = np.hstack([x[0], (x[1:] + x[:-1]) / 2.0, x[-1]])
     name_axis(report, panel.yaxis, name, "length")
-    return panel.pcolormesh(slip.t, edges, values[:, order].T, rasterized=True, **look)
+    t = slip.t / clock(report)[1]
+    return panel.pcolormesh(t, edges, values[:, order].T, rasterized=True, **look)
 
 
 def _slipped(slip: Slip) -> tuple[float, float]:

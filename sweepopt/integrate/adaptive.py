@@ -65,6 +65,7 @@ def first_grid(
     stable = math.inf
     if scheme.explicit and process.B is not None and process.Lam > 0:
         stable = 1 / process.Lam
+    # enough for a second pass to see where errors are; twice as many where nothing is known between
     first = steps.first or end / (16 if known else 32)
     longest = min(first, period / (2 * PER_PIECE), stable)
     if end / longest > STEPS:
@@ -126,7 +127,8 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
             common = np.isin(times, before.t, assume_unique=True)
             change = squares(process.metric.M, sol.u[common] - before.u).max()
             error = math.sqrt(max(change, 0.0)) * share / (1 - share)
-            # of switches anywhere in a step, with signs by chance
+            # of switches, with signs by chance: where z' jumps at the share x of a step, the error
+            # of order 2 is x (1 - x) / 2 of h^3 z'', in the mean over x a twelfth
             error += math.sqrt((errors**2).sum()) / 12
             this = this._replace(error=error)
         passes.append(this)
