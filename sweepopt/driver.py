@@ -336,16 +336,15 @@ def _with_bound(
         if bound <= error:
             return solution
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
-        falls = last is None or bound < 0.9 * last
-        relative = EPS + float(solution.stats["relative"].max(initial=0.0))
-        rounding = len(times) * relative * max(map(process.metric.norm, solution.u))
-        if not falls and bound < rounding:  # of the states, in each step
-            reason = "finer grids do not help; ask for less, or tighten tol"
-            break
         steps, why = factor * len(times), "by the order of the scheme"
-        if not falls and process.coercive:  # errors that fade within a step show no order
-            resolved = process.Lam * (times[-1] - times[0])
-            if resolved > steps:
+        if last is not None and not bound < 0.9 * last:
+            relative = EPS + float(solution.stats["relative"].max(initial=0.0))
+            if bound < len(times) * relative * max(map(process.metric.norm, solution.u)):
+                # what each step rounds of the state
+                reason = "finer grids do not help; ask for less, or tighten tol"
+                break
+            resolved = process.Lam * (times[-1] - times[0]) if process.coercive else 0.0
+            if resolved > steps:  # errors that fade within a step show no order
                 steps, why = resolved, "to resolve 1 / Lam (so.Adaptive has short ones only there)"
         if last is not None and 1000 * first < steps <= STEPS and not long:
             long = True  # without a word such a run seems to hang

@@ -295,7 +295,15 @@ def antiplane(
     effects: Sequence[Effect],
     element: str = "P1",
     refinements: int = 0,
-    **settings: Any,
+    u0: ArrayLike | Initial | None = None,
+    t_end: float | None = None,
+    steps: int | None = None,
+    scheme: str = "auto",
+    solver: str = "auto",
+    tol: float = 1e-6,
+    path: str = "auto",
+    units: str = "dimensionless",
+    title: str = "",
 ) -> Scene:
     """Antiplane shear of a section: u(x, t) is the displacement out of its plane.
 
@@ -310,8 +318,8 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    **settings
-        u0, t_end, steps, scheme, solver, tol, path, units and title, as for `body`.
+    u0, t_end, steps, scheme, solver, tol, path, units, title
+        As for `body`.
 
     Returns
     -------
@@ -335,7 +343,8 @@ def antiplane(
     >>> scene.left_out
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
-    return body(Discretisation(mesh, clamped, element, refinements), effects, **settings)
+    space = Discretisation(mesh, clamped, element, refinements)
+    return body(space, effects, u0, t_end, steps, scheme, solver, tol, path, units, title)
 
 
 def body(
