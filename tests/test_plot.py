@@ -405,7 +405,9 @@ def test_a_section_that_moves_in_its_plane_is_drawn_deformed_with_its_title():
         triangles = np.array([path.vertices[:3] for path in drawn.get_paths()])
         moved = x + factor * moves
         np.testing.assert_allclose(triangles, moved[scene.discretisation.triangles])
-    assert figure.axes[-1].get_ylabel().endswith(f"(drawn {factor:.2g} times as large)")
+    assert (
+        figure.axes[-1].get_ylabel().endswith(f"(displacement drawn {factor:.2g} times as large)")
+    )
 
 
 def test_profiles_name_the_bound_of_friction(run):

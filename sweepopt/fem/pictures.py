@@ -16,10 +16,8 @@ from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import (
     STATE_COLOURS,
-    clock,
     colours_of,
     legend_of,
-    moment,
     name_axis,
     states_of,
 )
@@ -154,7 +152,7 @@ def contact(report: Report) -> Any:
 
     slip: Any = report.slip
     figure, loaded = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
-    _, seconds = clock(report)
+    _, seconds = report.clock
     panels = figure.subplots(3 + loaded, 1, sharex=True)
     zone, moved, traction = panels[:3]
     colours = ListedColormap(list(STATE_COLOURS.values()))
@@ -208,7 +206,7 @@ def profiles(report: Report) -> Any:
     chosen = even_steps(report.solution, 5)
     for i, look in zip(chosen.tolist(), LOOKS, strict=False):
         moved.plot(arc, slip.displacement[i + 1, inside], **look)
-        traction.plot(arc, slip.traction[i, inside], label=moment(report, slip.t[i + 1]), **look)
+        traction.plot(arc, slip.traction[i, inside], label=report.moment(slip.t[i + 1]), **look)
     names = ["bound, t = 0", "_"]  # of two lines one is in the legend
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8, label=names)
     legend_above(traction, 3)
@@ -281,7 +279,7 @@ def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: An
     x = place[order]
     edges = np.hstack([x[0], (x[1:] + x[:-1]) / 2.0, x[-1]])
     name_axis(report, panel.yaxis, name, "length")
-    t = slip.t / clock(report)[1]
+    t = slip.t / report.clock[1]
     return panel.pcolormesh(t, edges, values[:, order].T, rasterized=True, **look)
 
 

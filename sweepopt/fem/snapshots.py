@@ -25,7 +25,6 @@ Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
 OUT, SIZE = "displacement out of the plane", "magnitude |u| of the displacement"
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
-TIMES = {" yr": 365.25 * 86400.0, " d": 86400.0, " h": 3600.0, " s": 1.0, " ms": 1e-3}
 
 
 class Field(NamedTuple):
@@ -199,7 +198,7 @@ def _moved(report: Report, steps: Array, label: str) -> tuple[Array, str]:
     """
     u, x = report.at("displacement", steps), report.body.points
     factor = 0.1 * np.ptp(x, axis=0).max() / (signed_lengths(u).max() or 1.0)
-    return x + factor * u, f"{label}\n(drawn {factor:.2g} times as large)"
+    return x + factor * u, f"{label}\n(displacement drawn {factor:.2g} times as large)"
 
 
 def flow(report: Report, steps: Array) -> Field:
@@ -276,22 +275,10 @@ def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
     return {"cmap": colours, "vmin": -limit * signed, "vmax": limit}
 
 
-def clock(report: Report) -> tuple[str, float]:
-    """The longest unit of time, behind a number, that is no longer than the run, in seconds."""
-    end, unit = report.solution.t[-1], report.suffix("time")
-    return next((one for one in TIMES.items() if unit and one[1] <= end), (unit, 1.0))
-
-
-def moment(report: Report, t: float) -> str:
-    """A time, as a title or legend has it."""
-    unit, seconds = clock(report)
-    return f"t = {t / seconds:.4g}{unit}"
-
-
 def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
     """The label of an axis, and ticks in one unit, such as 20 mm; without units plain numbers.
 
-    An axis of time is in the unit of `clock`.
+    An axis of time is in the unit of `Report.clock`.
     """
     from matplotlib.ticker import EngFormatter
 
@@ -303,7 +290,7 @@ def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
 
     axis.set_label_text(label)
     if quantity == "time":
-        axis.set_major_formatter(f"{{x:g}}{clock(report)[0]}")
+        axis.set_major_formatter(f"{{x:g}}{report.clock[0]}")
     elif quantity and report.suffix(quantity):
         axis.set_major_formatter(tick)
 
@@ -373,7 +360,7 @@ def off_screen() -> Any:
 
 def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any:
     """The field on a panel, and the time."""
-    panel.set_title(moment(report, report.solution.t[steps[i] + 1]), fontsize="medium")
+    panel.set_title(report.moment(report.solution.t[steps[i] + 1]), fontsize="medium")
     return field.draw(panel, i)
 
 
