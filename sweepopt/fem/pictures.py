@@ -189,7 +189,7 @@ def space_time(report: Report) -> Any:
     rate = np.ma.masked_equal(slip.velocity, 0.0)
     image = _over_time(report, slip, panel, rate, **colours_of(slip.velocity))
     name_axis(report, figure.colorbar(image, ax=panel).ax.yaxis, "slip rate", "velocity")
-    panel.set_ylim(_slipped(slip))
+    panel.set_ylim(_slip_range(slip))
     name_axis(report, panel.xaxis, "time", "time")
     legend_of(figure, {STICK: "sticks"} if rate.mask.any() else {})
     return figure
@@ -200,7 +200,7 @@ def profiles(report: Report) -> Any:
     slip: Any = report.slip
     figure = new_figure((8.5, 6.5))
     moved, traction = figure.subplots(2, 1, sharex=True)
-    (low, high), arc = _slipped(slip), slip.contact.arc
+    (low, high), arc = _slip_range(slip), slip.contact.arc
     inside = np.flatnonzero((low <= arc) & (arc <= high))
     arc, bound = arc[inside], slip.contact.bound[inside]
     chosen = even_steps(report.solution, 5)
@@ -283,7 +283,7 @@ def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: An
     return panel.pcolormesh(t, edges, values[:, order].T, rasterized=True, **look)
 
 
-def _slipped(slip: Slip) -> tuple[float, float]:
+def _slip_range(slip: Slip) -> tuple[float, float]:
     """The place between the outermost nodes that ever slip, and some more."""
     place, _ = _place(slip)
     where = place[slip.total > 0] if slip.total.any() else place

@@ -111,7 +111,7 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
     while True:
         before, began = sol, clock.perf_counter()
         try:
-            sol = _noted(run, times, tol)
+            sol = _with_note(run, times, tol)
         except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
             if before is None:
                 raise
@@ -162,7 +162,7 @@ def _first_steps(sol: Any, k: int) -> Any:
     return replace(sol, t=sol.t[: k + 1], states=states, statistics=statistics)
 
 
-def _noted(run: Runs, times: Array, tol: float) -> Any:
+def _with_note(run: Runs, times: Array, tol: float) -> Any:
     """The run, with a note on what a user's function raised."""
     try:
         return run(times, tol)
