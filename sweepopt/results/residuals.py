@@ -160,8 +160,8 @@ def residuals(
     model = _model(process, data, reason, norms, nodes, variation, points)
     try:
         known = bool(model.summands) and model.motion.center.bounded
-        for r, shapes in model.summands:
-            known = known and shapes[0].certifiable and r.bounded
+        for r, (S, *_) in model.summands:
+            known = known and (S.certifiable or not reason) and r.bounded
         return _bounds(process, norms, nodes, curves, model), "" if known else reason
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
     except EmptySetError as error:
@@ -191,12 +191,13 @@ def _unknown(data: Motion) -> str:
             "it as a Moving set, or give variation="
         )
     parts = [(data.name, data.offsets or data.center)]
-    for scale, S in data.summands:
+    summands: Any = data.summands
+    for scale, S in summands:
         parts.append(("scale", scale))
-        if not S.certifiable:
-            return f"nothing is proved of {type(S).__name__}"
-        if data.offsets is not None and not S.exact:
+        if data.offsets is not None and not S.exact_rows:
             return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
+        if data.offsets is None and not S.certifiable:
+            return f"nothing is proved of {type(S).__name__}"
     for name, f in parts:
         if not f.bounded:
             return (
