@@ -171,7 +171,7 @@ def error_bound(
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     ends = norms.A(run.u)
-    largest, lower = _largest_state(process, norms, float(run.t[0]), float(run.t[-1])), 0.0
+    largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
         nodes, slopes, members = companion(process, plan, velocities, t, by_points)
@@ -180,7 +180,7 @@ def error_bound(
         # of unbounded sets all, as velocities of a cubic may have no support function
         chosen = [best] if one_curve and largest < math.inf else CURVES
         curves = slopes_of_curves(nodes, slopes, chosen)
-        each, reason = residuals(process, norms, nodes, curves, variation, slopes[1:], members)
+        each, reason = residuals(norms, nodes, curves, variation, slopes[1:], members)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = curves[growth.curve, np.arange(len(t) - 1)]
@@ -239,8 +239,9 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
     return 2 if large else 0 if cheap else 1, one_curve, by_points
 
 
-def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
+def _largest_state(norms: Norms, a: float, b: float) -> float:
     """A bound of |u(t)|_A on [a, b]: |u|_A falls where |u|_B > sup |w|_{B^-1}, w in C (MATH 4)."""
+    process = norms.process
     moving = motion(process.C)
     lam = 1.0 if process.rate_independent else norms.lam  # at A = 0, B u = w
     if not moving.summands or lam == 0 or norms.B.beta == 0:
