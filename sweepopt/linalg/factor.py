@@ -224,7 +224,8 @@ class Factor:
         if self.is_diagonal:
             return float(self.diagonal.min())
         # from above: that of M itself would be lost beside its largest one
-        candidates = 1 / largest_eigenvalue(self.solve, self.dim) / (1 + MARGINS)
+        largest = largest_eigenvalue(self.solve, self.dim, 1e-5)  # as exact as the square of that
+        candidates = 1 / largest / (1 + MARGINS)
         if not self.has_factors:
             return float(candidates[0])
         one = sp.eye_array(self.dim) if sp.issparse(self.M) else np.eye(self.dim)

@@ -78,6 +78,7 @@ class Norms:
 
     Attributes
     ----------
+    process : SweepingProcess
     weak : bool
         Whether A is singular, so that B takes its place; B must then be positive definite.
     A, B : Norm
@@ -90,6 +91,7 @@ class Norms:
     """
 
     def __init__(self, process: SweepingProcess) -> None:
+        self.process = process
         B, self.weak = process.B, not process.coercive
         factor = process.metric if process.metric.M is B else None
         if B is not None and factor is None:

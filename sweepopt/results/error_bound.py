@@ -82,9 +82,12 @@ with implicit Euler were 1.1 times those with sdirk2 at step * lam = 10, 1.4 tim
 times at 0.5 and 9 times at 0.002."""
 WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 5, 2.4)}
 """Steps that all second runs together may take, by their scheme, for each program of the run: for
-up to SMALL unknowns and exact projections; for other bodies; and where the run eliminates most of
-the unknowns of a large one. Beside those of the run a step of the second run is dearer from case to
-case: with these numbers bounds take at most 10 to 12 times as long as the run."""
+up to SMALL unknowns and exact projections; for other bodies; and for those of more than LARGE
+unknowns. Of more than SMALL unknowns a step at rest is none: it takes a fiftieth of the time of
+another, and where 8 of 20 steps of boxes in 200 to 4,000 unknowns rest, bounds took 15 to 33 times
+as long as the run with them, 9 to 11 without, and were 1.01 to 1.1 times as loose. Beside those of
+the run a step of the second run is dearer from case to case: with these numbers bounds take at most
+10 to 12 times as long as the run."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With the work of small bodies bounds took 13 times as long as the run for 120 unknowns,
 11 for 72, 10 for 7 (the work of others: 9, 8); with that of others 47 times for 1,056."""
@@ -158,7 +161,7 @@ def error_bound(
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
     best = "straight" if stiff else "velocities"
     kind, one_curve, by_points = _methods(process, plan)
-    work = math.ceil(WORK[scheme.name][kind] * (len(run.t) - 1) * len(plan.scheme.b))
+    work = math.ceil(WORK[scheme.name][kind] * _moving(run) * len(plan.scheme.b))
     tol = plan.tol if plan.cones else min(plan.tol, TOL)
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
@@ -168,15 +171,16 @@ def error_bound(
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     ends = norms.A(run.u)
-    largest, lower = _largest_state(process, norms, float(run.t[0]), float(run.t[-1])), 0.0
+    largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
-        work -= len(t) - 1
         nodes, slopes, members = companion(process, plan, velocities, t, by_points)
+        moving = _moving(nodes)
+        work -= moving
         # of unbounded sets all, as velocities of a cubic may have no support function
         chosen = [best] if one_curve and largest < math.inf else CURVES
         curves = slopes_of_curves(nodes, slopes, chosen)
-        each, reason = residuals(process, norms, nodes, curves, variation, slopes[1:], members)
+        each, reason = residuals(norms, nodes, curves, variation, slopes[1:], members)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = curves[growth.curve, np.arange(len(t) - 1)]
@@ -189,7 +193,7 @@ def error_bound(
         below = nodal[1:] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
         passes.append((len(t) - 1, float(growth.A[-1])))
-        more = _more(passes, max(SHARE * distance.max(), rounding), work)
+        more = _more(passes, max(SHARE * distance.max(), rounding), work - moving)
         if more == 0 or reason or variation is not None:
             break
         t = _refined(t, growth.shares, more)
@@ -226,16 +230,18 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
     moving = motion(process.C)
     sets = [S for _, S in moving.summands]
     is_data = all(scale.function is None for scale, _ in moving.summands)
-    large = plan.contact is not None and process.dim > LARGE
+    large = process.dim > LARGE
     sharp = all(S.sharp_gaps for S in sets)
     exact = moving.disjoint and all(S.exact for S in sets)
     by_points = len(sets) == 1 and is_data and not exact and plan.reduction is None
     cheap = exact and sharp and not plan.cones and process.dim <= SMALL
-    return 2 if large else 0 if cheap else 1, large or plan.cones or not sharp, by_points
+    one_curve = (large and plan.contact is not None) or plan.cones or not sharp
+    return 2 if large else 0 if cheap else 1, one_curve, by_points
 
 
-def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
+def _largest_state(norms: Norms, a: float, b: float) -> float:
     """A bound of |u(t)|_A on [a, b]: |u|_A falls where |u|_B > sup |w|_{B^-1}, w in C (MATH 4)."""
+    process = norms.process
     moving = motion(process.C)
     lam = 1.0 if process.rate_independent else norms.lam  # at A = 0, B u = w
     if not moving.summands or lam == 0 or norms.B.beta == 0:
@@ -246,7 +252,7 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
         h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
         if not np.isfinite(h).all():
             return math.inf
-        sets = [(ONE, sets[0][1].with_offsets(h))]
+        sets = [(ONE, sets[0][1].member(h))]
     size = 0.0
     for scale, S in sets:
         most = sum(phi * float(np.abs(f).max()) for phi, f in scale.largest(a, b))
@@ -255,15 +261,21 @@ def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
 
 
-def _more(passes: list[tuple[int, float]], goal: float, work: int) -> int:
-    """How many steps the next grid shall have more; 0 where no finer grid pays.
+def _moving(run: Nodes) -> int:
+    """The steps of a run that count as work: all of a small body, of others those with motion."""
+    moves = run.velocity.any(axis=1) | (run.velocity.shape[1] <= SMALL)
+    return int(moves.sum())
+
+
+def _more(passes: list[tuple[int, float]], goal: float, left: int) -> int:
+    """How many steps the next grid shall have more, of those left; 0 where no finer grid pays.
 
     A pass is its number of steps and its bound, which falls with the order of the last two; with
     one pass, or an infinite bound, with order 1.
     """
     n, bound = passes[-1]
     before, larger = passes[-2] if len(passes) > 1 else (0, math.inf)
-    if not bound > goal or work <= n or n == before:  # or it is not a number
+    if not bound > goal or left <= 0 or n == before:  # or it is not a number
         return 0
     order = 1.0
     if max(bound, larger) < math.inf:
@@ -274,8 +286,8 @@ def _more(passes: list[tuple[int, float]], goal: float, work: int) -> int:
     if missing < FEW:
         return 0
     # the last pass that WORK allows takes what is left
-    finer = FINER * n if work > 2 * (1 + FINER) * n else work - n
-    return math.ceil(min(missing * n, finer, work - n))
+    finer = FINER * n if left > (1 + 2 * FINER) * n else left
+    return math.ceil(min(missing * n, finer, left))
 
 
 def _refined(t: Array, shares: Array, cuts: int) -> Array:

@@ -118,6 +118,38 @@ class _Model(NamedTuple):
     members: list[Array] | None = None
 
 
+class _Part(NamedTuple):
+    """A model on some intervals, those of one curve after those of another.
+
+    With polynomials in the place of its histories: of the center, of the offsets or of each scale.
+    """
+
+    intervals: Intervals
+    center: Interpolated
+    offsets: Interpolated | None
+    scales: list[Interpolated]
+    shapes: list[list[ConvexSet]]
+    distance: Array
+
+    @classmethod
+    def of(cls, model: _Model, part: slice, count: int) -> _Part:
+        """These intervals for so many curves."""
+        step, begin, end = (x[part] for x in model.intervals)
+
+        def polynomials(f: TimeFunction) -> Interpolated:
+            return Interpolated(*(np.concatenate([x] * count) for x in interpolate(f, begin, end)))
+
+        offsets = model.motion.offsets
+        return cls(
+            Intervals(*(np.tile(x, count) for x in (step, begin, end))),
+            polynomials(model.motion.center),
+            None if offsets is None else polynomials(offsets),
+            [polynomials(scale) for scale, _ in model.summands],
+            [S if len(S) == 1 else S[part] * count for _, S in model.summands],
+            np.tile(model.distance[part], count),
+        )
+
+
 def _each(shapes: list[ConvexSet], function: Callable[..., Array], *arrays: Array) -> Array:
     """function(shape, rows of the arrays) of every shape; of one shape all rows at once."""
     if len(shapes) == 1:
@@ -127,7 +159,6 @@ def _each(shapes: list[ConvexSet], function: Callable[..., Array], *arrays: Arra
 
 
 def residuals(
-    process: SweepingProcess,
     norms: Norms,
     nodes: Nodes,
     curves: Array,
@@ -148,6 +179,7 @@ def residuals(
     members : ndarray, shape (n, dim), optional
         Points of C(t), a Moving set, at these.
     """
+    process = norms.process
     data, points = motion(process.C), None
     reason = _unknown(data)
     if not data.disjoint:
@@ -157,16 +189,16 @@ def residuals(
         points = _points_of_several(data, nodes.t[1:], forces, speed)
     elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
         points = [(members - data.center.at(nodes.t[1:])) / scale]
-    model = _model(process, data, reason, norms, nodes, variation, points)
+    model = _model(norms, data, reason, nodes, variation, points)
     try:
         known = bool(model.summands) and model.motion.center.bounded
-        for r, shapes in model.summands:
-            known = known and shapes[0].certifiable and r.bounded
-        return _bounds(process, norms, nodes, curves, model), "" if known else reason
+        for r, (S, *_) in model.summands:
+            known = known and (S.certifiable or not reason) and r.bounded
+        return _bounds(norms, nodes, curves, model), "" if known else reason
     # coefficients of a polynomial may be no offsets of a set that is nearly a point
     except EmptySetError as error:
         reason = f"C(t) is nearly empty at times ({error})"
-        return _bounds(process, norms, nodes, curves, _on_steps(process, nodes)), reason
+        return _bounds(norms, nodes, curves, _on_steps(process, nodes)), reason
 
 
 def _points_of_several(data: Motion, times: Array, forces: Array, speed: Array) -> list[Array]:
@@ -191,12 +223,13 @@ def _unknown(data: Motion) -> str:
             "it as a Moving set, or give variation="
         )
     parts = [(data.name, data.offsets or data.center)]
-    for scale, S in data.summands:
+    summands: Any = data.summands
+    for scale, S in summands:
         parts.append(("scale", scale))
-        if not S.certifiable:
-            return f"nothing is proved of {type(S).__name__}"
-        if data.offsets is not None and not S.exact:
+        if data.offsets is not None and not S.exact_rows:
             return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
+        if data.offsets is None and not S.certifiable:
+            return f"nothing is proved of {type(S).__name__}"
     for name, f in parts:
         if not f.bounded:
             return (
@@ -207,10 +240,9 @@ def _unknown(data: Motion) -> str:
 
 
 def _model(
-    process: SweepingProcess,
+    norms: Norms,
     data: Motion,
     reason: str,
-    norms: Norms,
     nodes: Nodes,
     variation: Callable[[float], float] | None,
     members: list[Array] | None,
@@ -224,6 +256,7 @@ def _model(
         sharp = members is not None or all(S.sharp_gaps for _, (S,) in summands)
         intervals = smooth_intervals(moving, nodes.t, 1 if sharp else PARTS)
         return _Model(moving, intervals, summands, np.zeros(len(intervals.step)), members)
+    process = norms.process
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
@@ -258,34 +291,19 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
     return replace(moving, center=TimeFunction((), center.dim, value, between))
 
 
-def _bounds(
-    process: SweepingProcess, norms: Norms, nodes: Nodes, curves: Array, model: _Model
-) -> Residuals:
+def _bounds(norms: Norms, nodes: Nodes, curves: Array, model: _Model) -> Residuals:
     """Those of all curves, from intervals treated at once."""
     count, moving, step = len(curves), model.motion, model.intervals.step
-    width = process.dim if moving.offsets is None else max(process.dim, moving.offsets.dim)
+    width = max(norms.process.dim, 0 if moving.offsets is None else moving.offsets.dim)
     many = max(CHUNK // (30 * count * width), 1)
-    terms = _sizes_of_terms(norms, moving.center)
-    parts = []
+    sizes, parts = _sizes_of_terms(norms, moving.center), []
     for start in range(0, len(step), many):
-        part = slice(start, start + many)
-        i, begin, end = (x[part] for x in model.intervals)
-        # the intervals of the first curve, then those of the second
-        center, offsets, *scales = [
-            f and Interpolated(*(np.concatenate([x] * count) for x in interpolate(f, begin, end)))
-            for f in (moving.center, moving.offsets, *(scale for scale, _ in model.summands))
-        ]
-        some = _Model(
-            moving,
-            Intervals(*(np.tile(x, count) for x in (i, begin, end))),
-            [(r, S if len(S) == 1 else S[part] * count) for r, S in model.summands],
-            np.tile(model.distance[part], count),
-            model.members,
-        )
-        slopes = np.concatenate(curves[:, i])
-        each = _on_intervals(process, norms, nodes, slopes, some, terms, center, offsets, scales)
-        parts.append([x.reshape(count, len(i), *x.shape[1:]) for x in each])
-    of_all = (np.concatenate(some, axis=1) for some in zip(*parts, strict=True))
+        some = slice(start, start + many)
+        slopes = np.concatenate(curves[:, step[some]])
+        part = _Part.of(model, some, count)
+        each = _on_intervals(norms, nodes, slopes, model, part, sizes)
+        parts.append([x.reshape(count, -1, *x.shape[1:]) for x in each])
+    of_all = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
     gaps, squares, turning, size, begin, end, error = of_all
     first = np.searchsorted(step, np.arange(len(nodes.velocity)))
     cuts = np.setdiff1d(np.arange(1, len(step)), first)  # inside of steps, where r may jump
@@ -298,42 +316,39 @@ def _bounds(
 
 
 def _on_intervals(
-    process: SweepingProcess,
     norms: Norms,
     nodes: Nodes,
     slopes: Array,
     model: _Model,
-    terms: list[Array],
-    center: Any,
-    offsets: Any,
-    scales: list[Any],
+    part: _Part,
+    sizes: list[Array],
 ) -> Residuals:
     """Those of curves on intervals, each with its slopes of shape (3, dim)."""
-    i, a, b = model.intervals
+    i, a, b = part.intervals
     h, length = nodes.t[i + 1] - nodes.t[i], b - a
     stiff = (h * norms.Lam > VARIES) | norms.weak
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
-    force = force_along(process, nodes, slopes, i, theta) - center.values
+    force = force_along(norms.process, nodes, slopes, i, theta) - part.center.values
     velocity = basis(2, theta) @ slopes
     aim = force - norms.coercivity * velocity
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
     moved = error = error_B = turning = np.zeros(len(a))
+    speed = np.linalg.norm(directions, axis=2).mean(axis=1)
     if not model.summands:
-        w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
-    elif offsets is None:
-        w, gaps = np.zeros_like(force), moved
-        unknown: list[Any] = [None] * len(scales)
+        w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
+    elif part.offsets is None:
+        w, gaps, moved = np.zeros_like(force), 2 * speed * part.distance, part.distance
+        unknown: list[Any] = [None] * len(part.scales)
         points = model.members or unknown
-        error, error_B, turning = _of_interpolation(center, center.slope_error, terms)
-        for (f, shapes), scale, of_S in zip(model.summands, scales, points, strict=True):
-            s = None
-            if of_S is not None:
-                first, last = of_S[np.maximum(i - 1, 0), None], of_S[i, None]
-                s = first + (begin + share * THIRDS)[:, :, None] * (last - first)
+        error, error_B, turning = _of_interpolation(part.center, part.center.slope_error, sizes)
+        for (f, _), shapes, scale, of_S in zip(
+            model.summands, part.shapes, part.scales, points, strict=True
+        ):
+            s = None if of_S is None else _chords(of_S, i, begin + share * THIRDS)
             # a curve that is moved has no bound of int |r'|
             s, of_w, gap, distance = _within_shape(
-                norms, f, shapes, s, scale, model.distance, aim, directions, ~stiff
+                norms, f, shapes, s, scale, aim, directions, ~stiff
             )
             w, gaps, moved = w + of_w, gaps + gap, moved + distance
             if scale.error.any():
@@ -344,7 +359,7 @@ def _on_intervals(
         error = error + moved / math.sqrt(norms.A.beta)
     else:
         ((_, (S,)),) = model.summands
-        w, gaps = _within_rows(S, model.motion.offsets, aim, directions, offsets)
+        w, gaps = _within_rows(S, model.motion.offsets, aim, directions, part.offsets)
     r = TO_LOBATTO @ (force - w)
     squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
@@ -361,13 +376,19 @@ def _on_intervals(
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 
 
+def _chords(points: Array, i: Array, theta: Array) -> Array:
+    """Between points at nodes, at the shares theta of the steps i; in the first one its last."""
+    first, last = points[np.maximum(i - 1, 0), None], points[i, None]
+    chords: Array = first + theta[:, :, None] * (last - first)
+    return chords
+
+
 def _within_shape(
     norms: Norms,
     f: TimeFunction,
     shapes: list[ConvexSet],
     s: Array | None,
     scale: Interpolated,
-    distance: Array,
     aim: Array,
     directions: Array,
     may_move: Array,
@@ -390,9 +411,7 @@ def _within_shape(
     largest = most.max(axis=1)
     ratios = np.where(may_move, largest**2 / norms.A.beta, np.inf)
     gaps, moved = _each(shapes, _gaps, directions * most[:, None], s, ratios).T
-    speed = np.linalg.norm(directions, axis=2).mean(axis=1)
-    gaps, moved = gaps + 2 * speed * distance, largest * moved + distance
-    return s, basis(3, GAUSS) @ (sizes * s), gaps, moved
+    return s, basis(3, GAUSS) @ (sizes * s), gaps, largest * moved
 
 
 def _within_rows(

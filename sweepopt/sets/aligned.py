@@ -301,6 +301,12 @@ class Aligned(ConvexSet):
         return Aligned(part.member(h), unknowns=self.unknowns, dim=self.dim)
 
     @property
+    def exact_rows(self) -> bool:
+        """As that of the polyhedron."""
+        part: Any = self.parts[0]
+        return bool(part.exact_rows)
+
+    @property
     def anchor(self) -> Array:
         return self._to(self._joined([S.anchor for S in self.parts]))
 

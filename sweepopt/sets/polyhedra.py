@@ -28,6 +28,7 @@ from sweepopt.sets.base import (
     row_units,
 )
 from sweepopt.sets.least_distance import (
+    EMPTY,
     Flat,
     Shortest,
     exact_multipliers,
@@ -122,12 +123,18 @@ class Polyhedron(ConvexSet):
         ends = bounds and bounds.ends(other.offsets)
         return Box(*ends) if ends and (ends[0] < ends[1]).all() else other
 
+    @property
+    def exact_rows(self) -> bool:
+        """Whether `project_rows` and `multiplier_rows` know which rows bind."""
+        return self.exact or self._bounds is not None
+
     @cached_property
     def _bounds(self) -> Bounds | None:
         """The rows, if each has one entry, or none."""
         rows = sp.coo_array(self.rows)
         i, j, factor = (x[rows.data != 0] for x in (*rows.coords, rows.data))
-        return Bounds(self.dim, i, j, factor) if np.unique(i).size == i.size else None
+        single = np.unique(i).size == i.size
+        return Bounds.of_entries(i, j, factor, self.dim) if single else None
 
     @cached_property
     def selection(self) -> Selection | None:
@@ -279,6 +286,8 @@ class Polyhedron(ConvexSet):
             lower, upper = self._bounds.ends(h)
             if (lower <= upper).all():
                 return np.clip(rows, lower, upper)
+            if not self.exact:
+                raise EmptySetError(EMPTY)
         left = np.flatnonzero((rows @ self.rows.T > h).any(axis=1))
         while left.size:
             v, serves = rows[left], np.arange(left.size) == 0
@@ -425,35 +434,50 @@ def _columns(G: Any, units: Array) -> Any:
 
 
 class Bounds(NamedTuple):
-    """Rows i of a polyhedron that are bounds of single unknowns, factor w[j] <= h[i]."""
+    """Rows i of a polyhedron that are bounds of single unknowns, factor w[j] <= h[i].
+
+    They are in the order of their sides 2 j + (factor > 0); of each the first row is at `first`.
+    """
 
     dim: int
     i: Array
-    j: Array
+    side: Array
     factor: Array
+    first: Array
+
+    @classmethod
+    def of_entries(cls, i: Array, j: Array, factor: Array, dim: int) -> Bounds:
+        side = 2 * j + (factor > 0)
+        order = np.argsort(side, kind="stable")
+        first = np.unique(side[order], return_index=True)[1]
+        return cls(dim, i[order], side[order], factor[order], first)
+
+    def _least(self, of_rows: Array) -> Array:
+        """The least number of a row for each side, shape (..., 2 dim)."""
+        least = np.full((*of_rows.shape[:-1], 2 * self.dim), np.inf)
+        if self.i.size > self.first.size:  # some sides have several
+            of_rows = np.minimum.reduceat(of_rows, self.first, axis=-1)
+        least[..., self.side[self.first]] = of_rows
+        return least
 
     def ends(self, h: Array) -> tuple[Array, Array]:
         """The bounds of w for an h, or for each of its rows; crossed if a zero row has no point."""
-        lower, upper = np.full((2, *h.shape[:-1], self.dim), np.inf)
-        lower, up, sides = -lower, self.factor > 0, h[..., self.i] / self.factor
-        np.maximum.at(lower.T, self.j[~up], sides[..., ~up].T)
-        np.minimum.at(upper.T, self.j[up], sides[..., up].T)
+        least = self._least(h[..., self.i] / np.abs(self.factor))
+        lower, upper = -least[..., ::2], least[..., 1::2]
         upper[(np.delete(h, self.i, axis=-1) < 0).any(axis=-1)] = -np.inf
         return lower, upper
 
     def multipliers(self, rows: Array, slack: Array) -> Array:
         """As `Polyhedron.multiplier_rows`: of the rows for one side those with the least slack."""
-        y, side = np.zeros((len(rows), slack.shape[-1])), 2 * self.j + (self.factor > 0)
-        slack = np.broadcast_to(slack, y.shape)[:, self.i] / np.abs(self.factor)
-        least = np.full((len(rows), 2 * self.dim), np.inf)
-        count = np.zeros_like(least)
-        np.minimum.at(least.T, side, slack.T)
-        nearest = slack == least[:, side]
-        np.add.at(count.T, side, nearest.T)
-        pull = np.maximum(rows[:, self.j] / self.factor, 0.0)
-        y[:, self.i] = np.where(nearest, pull / count[:, side], 0.0)
-        free = np.isinf(least).reshape(*rows.shape, 2)
-        y[((rows < 0) & free[..., 0] | (rows > 0) & free[..., 1]).any(axis=1)] = np.inf
+        y, free = np.zeros((len(rows), slack.shape[-1])), np.ones(2 * self.dim, dtype=bool)
+        pull = np.maximum(rows[:, self.side // 2] / self.factor, 0.0)
+        if self.i.size > self.first.size:
+            of_rows = np.broadcast_to(slack, y.shape)[:, self.i] / np.abs(self.factor)
+            nearest = of_rows == self._least(of_rows)[:, self.side]
+            count = np.add.reduceat(nearest, self.first, axis=1, dtype=float)
+            pull *= nearest / np.repeat(count, np.diff([*self.first, self.i.size]), axis=1)
+        y[:, self.i], free[self.side] = pull, False
+        y[((rows < 0) & free[::2] | (rows > 0) & free[1::2]).any(axis=1)] = np.inf
         return y
 
 

@@ -258,6 +258,8 @@ class Cascade:
             if velocity is not None:
                 return velocity
         if not self._proved:  # wrong answers show in the trajectory's residual
+            if of.rests():
+                return at_rest(of.q)._replace(w=of.projection(of.force) + of.c)
             nothing = unsolved(of).z
             for attempt in self._attempts:
                 pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
