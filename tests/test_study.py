@@ -3,7 +3,6 @@
 import re
 import shutil
 import signal
-import sys
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from itertools import product
