@@ -328,8 +328,8 @@ import resource
 import numpy as np, scipy.sparse as sp, sweepopt as so
 load = so.Sine(3.0, 2.0)
 slider = so.SweepingProcess(0.5, 2.0, so.Moving(so.Box(-1, 1), load), 0.0)
-chain = sp.diags_array([np.full(9999, -1.0), np.full(10_000, 2.1), np.full(9999, -1.0)], offsets=[-1, 0, 1])
-few = so.image(np.eye(10_000, 4), so.Box(-np.ones(4), np.ones(4)))
+chain = 2.1 * sp.eye_array(10_000) - sp.eye_array(10_000, k=1) - sp.eye_array(10_000, k=-1)
+few = so.image(sp.eye_array(10_000, 4), so.Box(-np.ones(4), np.ones(4)))
 pull = so.Separable([(load, np.sin(np.arange(10_000)))])
 large = so.SweepingProcess(chain, 1.7 * chain, so.Moving(few, pull), np.zeros(10_000))
 for size, process, settings in (
