@@ -1,12 +1,19 @@
 """One thread of BLAS a test: `-n 2` runs two at a time, and two threads of each share the cores."""
 
 import faulthandler
+import gc
 import os
 import sys
 
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before a worker imports numpy
+
+
+def pytest_collection_finish():
+    """What is imported by now stays: the garbage collector need not look at it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -48,7 +48,8 @@ def test_the_code_of_a_page_runs(
     capsys,
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sweepopt.plot.MOST_FRAMES", 4)  # of animations
+    monkeypatch.setattr("sweepopt.plot.MOST_FRAMES", 2)  # of animations
+    monkeypatch.setattr("sweepopt.fem.pictures.AUTOMATIC", ())
     known = dict(fem.EFFECTS)
     head, *parts = page.read_text("utf-8").split("\n## ")
     namespace = {}

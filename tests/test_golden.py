@@ -211,8 +211,10 @@ def tube():
     """What `sweepopt run problems/tube.toml` writes, and its numbers."""
     import meshio
     import xarray as xr
+    from matplotlib.figure import Figure
 
-    with tempfile.TemporaryDirectory() as place:
+    empty = mock.patch("sweepopt.fem.pictures.draw", return_value=Figure())
+    with tempfile.TemporaryDirectory() as place, empty:
         folder = Path(place)
         code, said = called("run", "tube", "--no-progress", "--out", place)
         assert code == 0, said

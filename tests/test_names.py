@@ -44,12 +44,14 @@ def test_help_of_what_the_readme_names_needs_no_import_of_it():
     keys = {words[0]: words[1:] for line in lines if (words := line.split())}
     for name, effect in so.fem.EFFECTS.items():
         assert [key.strip("[],") for key in keys[name]] == list(signature(effect).parameters)
-    assert "sweepopt.study" in fresh("import sweepopt; print(sweepopt.study, sweepopt.plot)")
     assert "SweepingProcess" in pydoc.render_doc(so)
 
 
-def test_solve_is_the_function_whatever_is_imported_before():
-    assert "function" in fresh("import sweepopt.driver, sweepopt; print(sweepopt.solve)")
+def test_solve_is_the_function_and_rooms_are_there_whatever_is_imported_before():
+    code = "import sweepopt.driver, sweepopt as so; print(so.solve, so.study, so.plot)"
+    shown = fresh(code)
+    assert "function" in shown
+    assert "sweepopt.study" in shown
 
 
 @pytest.mark.parametrize("package, extra", [("skfem", "fem"), ("plotly", "study")])

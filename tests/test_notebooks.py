@@ -27,13 +27,16 @@ CVXPY = ".".join(version("cvxpy").split(".")[:2])
 
 
 RESET = """
+import gc
 import warnings
 import matplotlib.pyplot
+gc.freeze()  # a study collects garbage before each cell
 matplotlib.pyplot.close("all")
 matplotlib.rcdefaults()
 warnings.filters[:] = vars(warnings).setdefault("filters_of_the_start", list(warnings.filters))
 get_ipython().run_line_magic("reset", "-f")
 get_ipython().run_line_magic("matplotlib", "inline")
+get_ipython().run_line_magic("config", "InlineBackend.print_figure_kwargs = dict(bbox_inches=None)")
 """
 
 

@@ -64,7 +64,7 @@ ROUTES = {
     # an intersection, whose support function is a program of its own
     "two sets": (lambda: three(so.Box([-1] * 3, [1] * 3) & so.Ball([0] * 3, 1.2)), {"steps": 12}),
     # Newton starts its projections from one in another metric
-    "two sets by newton": (few, {"solver": "newton", "steps": 60}),
+    "two sets by newton": (few, {"solver": "newton"}),
 }
 
 

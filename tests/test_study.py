@@ -3,7 +3,6 @@
 import re
 import shutil
 import signal
-import sys
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from itertools import product
@@ -81,19 +80,17 @@ def small(tmp_path_factory):
     return folder
 
 
-def study_until(cells, file, folder, *options):
-    """The process of the study's command when it has finished some cells; it is killed then."""
-    command = ["-m", "sweepopt", "study", str(file), "--out", str(folder), *options]
-    return started(lambda: len(finished(folder)) >= cells, *command)
-
-
 @pytest.fixture(scope="module")
 def killed(file, tmp_path_factory):
-    """The folder of the study when its process was killed at half."""
+    """The folder of the study when its process was killed at half; its workers ended with it."""
     folder = tmp_path_factory.mktemp("killed")
-    with study_until(12, file, folder):
-        pass
+    command = ["-m", "sweepopt", "study", str(file), "--out", str(folder), "--workers", "1"]
+    with started(lambda: len(finished(folder)) >= 12, *command) as process:
+        children = psutil.Process(process.pid).children(recursive=True)
     assert 12 <= len(finished(folder)) < 24
+    assert children
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
     return folder
 
 
@@ -113,7 +110,7 @@ def table(file, killed):
 # ---- the table ------------------------------------------------------------------------------
 
 
-def test_a_study_killed_at_half_goes_on_where_it_was(file, killed, table):
+def test_a_study_killed_at_half_ends_its_workers_and_goes_on_where_it_was(file, killed, table):
     assert list(table.columns) == list(CellRow._fields)
     assert table.run.is_unique
     assert (table.success == (table.status == "SUCCESS")).all()
@@ -184,14 +181,24 @@ def test_failures_are_rows(table, tmp_path, monkeypatch):
 # ---- meshes ---------------------------------------------------------------------------------
 
 
-def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(
-    tmp_path,
-):
-    one = Study(("square",), ("midpoint",), ("auto",), (48,), refinements=(1,), repeats=1)
+def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(tmp_path):
+    square, text = library.find_scene("square"), "refinements = 2"
+    shutil.copy(square.with_suffix(".msh"), tmp_path)
+    coarse = square.read_text().replace(text, "refinements = 1").replace("end = 4.0", "end = 1.0")
+    (tmp_path / "square.toml").write_text(coarse)
+    one = Study(
+        ("square.toml",),
+        ("midpoint",),
+        ("auto",),
+        (12,),
+        refinements=(1,),
+        repeats=1,
+        folder=tmp_path,
+    )
     study = replace(one, refinements=(0, 1), elements=("P1", "P2"))
     table = run(study, tmp_path)
     assert table.success.all()
-    assert list(table.unknowns[table.element == "P1"]) == [72, 272]
+    assert list(table.unknowns[table.element == "P1"]) == [20, 72]
     of_p1 = table.error[table.element == "P1"].to_numpy()
     of_p2 = table.error[table.element == "P2"].to_numpy()
     assert (of_p2 < 0.5 * of_p1).all()
@@ -199,7 +206,7 @@ def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(
     assert (np.log2(of_p1[:-1] / of_p1[1:]) > 0.7).all()
     assert (np.log2(of_p2[:-1] / of_p2[1:]) > 0.9).all()
 
-    finest = study.reference(find_source("square"))
+    finest = study.reference(study.runs()[0].problem)
     assert (finest.refinements, finest.element) == (2, "P2")
     (row,) = run(one, tmp_path / "one").itertuples()
     # on one mesh the error is that in time, which its guaranteed bound holds for
@@ -325,24 +332,14 @@ def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdown
 
     monkeypatch.setattr("sweepopt.study.study.processes", lambda count: deadly(processes(count)))
     dask = where == "dask" and request.getfixturevalue("cluster")
-    few = replace(SMALL, problems=("M16",), schemes=("midpoint",))
-    with dask_executor(dask) if dask else processes(2) as workers:
+    few = replace(SMALL, problems=("M16",), schemes=("midpoint",), steps=(16, 8))
+    with dask_executor(dask) if dask else processes(1) as workers:
         table = run(few, tmp_path, executor=deadly(workers))
     dead = table.status == "BrokenProcessPool"
     assert table.run[dead].str.startswith("M16 midpoint auto 16").tolist() == [True]
     assert table.message[dead].str.contains("terminated abruptly").all()
-    whole = read_table(SMALL, small)
-    chosen = (whole.problem == "M16") & (whole.scheme == "midpoint")
-    same(table[~dead], whole[chosen].reset_index(drop=True)[~dead])
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at the process tree")
-def test_workers_end_with_a_study_that_is_killed(file, tmp_path):
-    with study_until(2, file, tmp_path, "--workers", "2") as process:
-        children = psutil.Process(process.pid).children(recursive=True)
-        assert len(children) >= 2
-    _, alive = psutil.wait_procs(children, timeout=20)
-    assert not alive
+    whole, rest = read_table(SMALL, small), table[~dead]
+    same(rest.reset_index(drop=True), whole[whole.run.isin(rest.run)].reset_index(drop=True))
 
 
 # ---- what a study may be --------------------------------------------------------------------

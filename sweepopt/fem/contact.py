@@ -25,7 +25,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.loads import Separable
-from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
+from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, images, product
 
 if TYPE_CHECKING:
     from sweepopt.fem.effects import Friction
@@ -181,17 +181,17 @@ def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
     else:
         yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
         E = [one.rows.E for one in yields]
-    of_forces = sp.csc_array(sp.vstack(E).T)
+    of_forces = images(sp.csc_array(sp.vstack(E).T))
 
     def at(t: float = 0.0, u: Array | None = None) -> ConvexSet:
         if alike:
             balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
-            return image(of_forces, balls)
+            return of_forces(balls)
         parts = [part for one in yields for part in _sets(one, t, u)]
         boxes = [part for part in parts if isinstance(part, Box)]
         if boxes:
             parts = [product(*boxes), *parts[len(boxes) :]]
-        return image(of_forces, parts[0] if len(parts) == 1 else product(*parts))
+        return of_forces(parts[0] if len(parts) == 1 else product(*parts))
 
     return at
 

@@ -21,7 +21,7 @@ from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance, parallel_rows
 from sweepopt.sets.lifted import points_of_sum
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent, Summands
-from sweepopt.sets.operations import image, product
+from sweepopt.sets.operations import image, images, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
 from sweepopt.sets.programs import CAREFUL, check_features, in_turn

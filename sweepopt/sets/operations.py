@@ -306,11 +306,16 @@ def image(M: Any, C: Any) -> Any:
     """
     if not isinstance(C, (ConvexSet, MovingSet)):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
+    return images(M)(C)
+
+
+def images(M: Any) -> Callable[[Any], Any]:
+    """C -> `image(M, C)`, for many sets: M is checked once."""
     M = matrix("M", M)
     if not M.shape[0]:
         raise InputError("M must have at least one row")
     row_units(COLUMN, M.T)
-    return _image(M, C)
+    return partial(_image, M)
 
 
 @partial(over_time, linear=True)
