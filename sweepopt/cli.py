@@ -307,7 +307,7 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     from sweepopt.fem.output import largest
 
     solution, energy = report.solution, report.energy
-    second, meter, joule = map(report.suffix, ("time", "length", "energy"))
+    meter, joule = map(report.suffix, ("length", "energy"))
     sliding = ""
     if report.slip is not None:
         slip = report.slip.statistics()
@@ -315,12 +315,12 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
         if slip.time_of_most is not None:
             sliding = (
                 f"{100 * slip.ever:.0f} % of the contact slips at some time, "
-                f"{100 * slip.most:.0f} % at once, t = {slip.time_of_most:g}{second}"
+                f"{100 * slip.most:.0f} % at once, {report.moment(slip.time_of_most)}"
             )
     named = [name for name in files if not name.endswith(".vtu")]
     lines = {
         "status": solution.message,
-        "reached": f"t = {solution.t[-1]:g}{second} in {len(solution.steps)} steps, "
+        "reached": f"{report.moment(solution.t[-1])} in {len(solution.steps)} steps, "
         f"{report.seconds:.3g} s of computing",
         "max displacement": f"{largest(report)['value']:.4g}{meter}",
         "slip": sliding,

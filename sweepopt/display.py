@@ -1,11 +1,11 @@
 """Objects that show themselves: in a few lines at a prompt, with a small picture in a notebook."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from inspect import isroutine, signature
 from itertools import cycle
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -91,6 +91,16 @@ class Displayed(Brief):
     """The base of what shows itself by names and values that are known: nothing is computed."""
 
     _rows: Callable[[], Rows]
+    _instead: ClassVar[Mapping[str, str]] = {}
+    """Names that users try, and what stands here for them."""
+
+    if not TYPE_CHECKING:  # to a type checker no other attribute exists
+
+        def __getattr__(self, name: str) -> Any:
+            if name in self._instead:
+                kind = type(self).__name__
+                raise AttributeError(f"{kind} has no attribute {name}; {self._instead[name]}")
+            return object.__getattribute__(self, name)
 
     def __repr__(self) -> str:
         return as_lines(self._rows())

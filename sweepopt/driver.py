@@ -54,6 +54,7 @@ from sweepopt.integrate import (
     saving,
     time_grid,
 )
+from sweepopt.linalg import EPS
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.results import NetCDFSink, Solution
 from sweepopt.sets import ConvexSet
@@ -299,14 +300,16 @@ def _refine(
     error = number("error", error, minimum=0.0, strict=True)
     options, run = replace(options, t_end=None), _warning_once(_run)
     sol = _with_bound(
-        lambda times: run(process, replace(options, save=None, steps=times)), times, error
+        process, lambda times: run(process, replace(options, save=None, steps=times)), times, error
     )
     if not sol.success or (options.save is None and callback is None and not progress):
         return sol
     return run(process, replace(options, steps=sol.t), callback, progress)
 
 
-def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) -> Solution:
+def _with_bound(
+    process: SweepingProcess, run: Callable[[Array], Solution], times: Array, error: float
+) -> Solution:
     """Run on finer and finer grids, each of which contains the one before, until the bound is met.
 
     Ctrl-C during a run returns its steps, Ctrl-C during a bound the run that it is of.
@@ -333,16 +336,21 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
         if bound <= error:
             return solution
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
+        steps, why = factor * len(times), "by the order of the scheme"
         if last is not None and not bound < 0.9 * last:
-            # it has come down to what programs and sums round
-            reason = "finer grids do not help; ask for less, or tighten tol"
-            break
-        steps = factor * len(times)
+            relative = EPS + float(solution.stats["relative"].max(initial=0.0))
+            if bound < len(times) * relative * max(map(process.metric.norm, solution.u)):
+                # what each step rounds of the state
+                reason = "finer grids do not help; ask for less, or tighten tol"
+                break
+            resolved = process.Lam * (times[-1] - times[0]) if process.coercive else 0.0
+            if resolved > steps:  # errors that fade within a step show no order
+                steps, why = resolved, "to resolve 1 / Lam (so.Adaptive has short ones only there)"
         if last is not None and 1000 * first < steps <= STEPS and not long:
             long = True  # without a word such a run seems to hang
             warn(
-                f"error = {error:g} takes about {steps:.0e} steps by the order of the scheme, "
-                f"{first - 1} were given; with progress=True the last run shows them",
+                f"error = {error:g} takes about {steps:.0e} steps {why}, {first - 1} were given; "
+                "with progress=True the last run shows them",
                 SweepoptWarning,
             )
         last = float(bound)
@@ -352,9 +360,8 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
             break
         times = divided(times, max(math.ceil(min(factor, 8)), 2))  # the factor is an estimate
     reason = reason or (
-        f"it takes more than {STEPS:g} steps, about {factor * len(solution.t):.0e} by the order of "
-        'the scheme; ask for less, or take a scheme of second order, or "exact" where C(t) has '
-        "flat faces and the load is data"
+        f"it takes more than {STEPS:g} steps, about {steps:.0e} {why}; ask for less, or take a "
+        'scheme of second order, or "exact" where C(t) has flat faces and the load is data'
     )
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "

@@ -104,13 +104,17 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except ValueError as error:  # not TOML, or a number of thousands of digits
-        hint = "; text and formulas are in quotes, entries of { } and [ ] have commas between them"
-        if found := re.search(r"declare \((.*)\) twice", str(error)):
+        hint, fault = "", str(error)
+        if found := re.search(r"declare \((.*)\) twice", fault):
             name = ".".join(re.findall(r"'(.+?)'", found[1]))
             hint = f"; put all keys under one [{name}], or write [[{name}]] above each of several"
-        elif "overwrite" in str(error):
+        elif "overwrite" in fault:
             hint = "; it is there already: leave one out, or write [[...]] above each of several"
-        raise InputError(f"{where}: is not TOML: {error}{hint}") from error
+        elif "Unclosed" in fault:
+            hint = "; entries of { } and [ ] have commas between them"
+        elif "Invalid value" in fault or "newline" in fault:
+            hint = "; text and formulas are in quotes"
+        raise InputError(f"{where}: is not TOML: {fault}{hint}") from error
     except RecursionError as error:
         raise InputError(f"{where}: is not TOML: brackets within brackets without end") from error
 

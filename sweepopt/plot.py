@@ -151,7 +151,9 @@ def _panels(solution: Solution, figure: Any) -> Any:
     # over all of a step what it has in its middle, as u' jumps between steps
     panels[2].stairs(force[:, 0], ends, label="A u' + B u", **line)
     if all(C.exact for C in sets):
-        low, high = np.transpose([(-C.support(-np.ones(1)), C.support(np.ones(1))) for C in sets])
+        bounds = [(-C.support(-np.ones(1)), C.support(np.ones(1))) for C in sets]
+        bottom, top = panels[2].get_ylim()  # where C(t) has no bound the band ends with the axes
+        low, high = np.nan_to_num(np.transpose(bounds), neginf=bottom, posinf=top)
         look = {"fill": True, "alpha": 0.3, "label": "C(t)"}
         panels[2].stairs(high, ends, baseline=low, color=STICK, **look)
     panels[2].legend(fontsize="small")

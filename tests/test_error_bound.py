@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import cycle
 
 import cvxpy as cp
@@ -652,6 +652,20 @@ def test_an_error_that_takes_many_steps_is_warned_of():
     process = so.SweepingProcess(0.0, 2.0, so.Moving(so.Box(-1, 1), center=pull), 0.0)
     with pytest.raises(so.SweepoptWarning, match=r"takes about .* steps .*, 2 were given"):
         so.solve(process, t_end=2.0, steps=2, error=5e-4)
+
+
+@pytest.mark.filterwarnings("ignore:B u0 is not in C")
+def test_an_error_that_falls_on_short_steps_only_is_delivered():
+    # u jumps at first, in a time of 1 / Lam = 1e-3: no step of the first two grids sees that
+    pull = so.Separable([(so.Constant(3.0), 1.0)])
+    process = so.SweepingProcess(1e-3, 1.0, so.Moving(so.Box(-1, 1), center=pull), 0.0)
+    bounded = partial(so.solve, process, t_end=0.5, scheme="sdirk2", on_unstable="ignore")
+    first, second = (bounded(steps=n).error_bound() for n in (3, 24))
+    assert second > 0.9 * first
+    sol = bounded(steps=3, error=5e-3)
+    exact = 2.0 - 2.0 * np.exp(-sol.t / 1e-3)
+    error = np.sqrt(1e-3) * np.abs(sol.u[:, 0] - exact).max()
+    assert error <= sol.error_bound() <= 5e-3
 
 
 @pytest.mark.parametrize("part", [so.Ball(0.0, 1.0), so.Box(-1.0, 1.0)])

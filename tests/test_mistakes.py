@@ -357,6 +357,32 @@ def test_a_run_without_an_exact_trajectory_says_which_scheme_has_one():
     assert not hasattr(sol, "exact")
 
 
+def test_a_name_that_other_libraries_have_says_what_stands_here_for_it():
+    process = so.EvolutionVI(0.5, 2.0, load=so.Sine(1.0, 1.0), u0=0.0)
+    with pytest.raises(AttributeError, match=r"EvolutionVI has no attribute solve; .* so\.solve\("):
+        process.solve(t_end=1.0)
+    assert not hasattr(process, "steps")
+    sol = so.solve(process, t_end=1.0, steps=2)
+    with pytest.raises(AttributeError, match="Solution has no attribute y; the states are u"):
+        sol.y  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    "line, hint",
+    [
+        ("eta = 1 + x", ["quotes"]),
+        ("eta = sin(x)", ["quotes"]),
+        ("eta = [1 2]", ["commas"]),
+        ("eta", []),
+        ("= 2", []),
+    ],
+)
+def test_a_hint_at_the_syntax_of_toml_is_one_that_fits(line, hint):
+    with pytest.raises(so.InputError, match="is not TOML") as refusal:
+        so.scene(f"{line}\n")
+    assert [one for one in ("quotes", "commas") if one in str(refusal.value)] == hint
+
+
 @pytest.mark.parametrize("form", [np.array, sp.csr_array, sp.csc_array])
 def test_what_a_process_is_made_of_cannot_be_changed_entry_by_entry(form):
     A, u0, load = form(np.eye(2)), np.zeros(2), np.ones(2)

@@ -12,6 +12,7 @@ from matplotlib import rc_context
 from matplotlib.collections import PathCollection, QuadMesh, TriMesh
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 from meshes import annulus, report_of, ring, square
 from PIL import Image, ImageSequence
 
@@ -32,6 +33,7 @@ from sweepopt.fem import (
 from sweepopt.fem.output import Report
 from sweepopt.fem.pictures import draw
 from sweepopt.fem.snapshots import STATE_COLOURS
+from sweepopt.plot import even_steps
 
 
 def half_ring():
@@ -338,16 +340,20 @@ def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused(so
         scene.plot(solution, "flow")
 
 
-def test_arrows_of_slip_say_how_fast_the_longest_one_is(solid):
+def test_arrows_of_slip_have_a_scale_at_each_time_and_say_how_fast_the_longest_one_is(solid):
     scene, solution = solid
     figure = scene.plot(solution, "arrows")
-    (key,) = figure.legends
     tangential = scene.velocity(solution)[:, scene.contact.node][..., :2]  # front and back are z
-    speed = np.linalg.norm(tangential, axis=-1)
+    speed = np.linalg.norm(tangential, axis=-1).max(axis=1)
+    panels, width = figure.axes[:-1], np.ptp(scene.contact.points[:, 0])
+    assert len(panels) > 1
+    for panel, i in zip(panels, even_steps(solution, 6), strict=False):
+        (arrows,) = (one for one in panel.collections if isinstance(one, Quiver))
+        longest = np.hypot(arrows.U, arrows.V).max(initial=0.0) / arrows.scale
+        assert longest == pytest.approx(0.08 * width if speed[i] else 0.0)
+        assert panel.get_title().endswith(f", slip arrows up to {speed[i]:.2g}")
     # a mean: at the end of a step its nodes may slip below the bound of Tresca
     assert figure.axes[-1].get_ylabel() == "friction traction / bound,\nmean of each step"
-    (words,) = (text.get_text() for text in key.texts)
-    assert words == f"\N{LONG RIGHTWARDS ARROW} slip velocity, the longest arrow {speed.max():.2g}"
 
 
 def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):
@@ -364,8 +370,22 @@ def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):
 def test_a_section_is_drawn_with_the_stress_of_its_cells(run):
     figure = draw(run, "stress")
     stress = run.scene.stress(run.solution)
-    (drawn,) = figure.axes[5].collections
+    outline, drawn = figure.axes[5].collections
     np.testing.assert_array_equal(drawn.get_array(), np.tile(stress[-1], 4))
+    body = run.scene.discretisation
+    facets = body.facet_nodes(body.mesh.boundary_facets()).T
+    np.testing.assert_array_equal(outline.get_segments(), body.points[facets])
+
+
+@pytest.mark.parametrize("cone, sides", [(so.Orthant(1), 1), (so.WholeSpace(1), 2)])
+def test_a_set_without_bound_is_drawn_to_the_end_of_the_axes(cone, sides):
+    C = so.Moving(cone, center=lambda t: t - 1.0)
+    sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.5), t_end=1.0, steps=20)
+    *_, force = sol.plot().figure.axes
+    band = next(one for one in force.patches if one.get_label() == "C(t)")
+    low, high = band.get_data().baseline, band.get_data().values
+    assert np.isfinite([low, high]).all()
+    assert [np.ptp(high), np.ptp(low)].count(0.0) == sides
 
 
 def test_a_section_that_moves_in_its_plane_is_drawn_deformed_with_its_title():
@@ -385,7 +405,9 @@ def test_a_section_that_moves_in_its_plane_is_drawn_deformed_with_its_title():
         triangles = np.array([path.vertices[:3] for path in drawn.get_paths()])
         moved = x + factor * moves
         np.testing.assert_allclose(triangles, moved[scene.discretisation.triangles])
-    assert figure.axes[-1].get_ylabel().endswith(f"(drawn {factor:.2g} times as large)")
+    assert (
+        figure.axes[-1].get_ylabel().endswith(f"(displacement drawn {factor:.2g} times as large)")
+    )
 
 
 def test_profiles_name_the_bound_of_friction(run):
@@ -409,3 +431,40 @@ def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):
         pytest.raises(so.InputError, match=r"an MP4 is made by ffmpeg, .*; install it"),
     ):
         stick_slip(1).animate(tmp_path / "run.mp4")
+
+
+@pytest.mark.parametrize(
+    "end, unit, seconds",
+    [
+        (0.5, " ms", 1e-3),
+        (10.0, " s", 1.0),
+        (7200.0, " h", 3600.0),
+        (2e5, " d", 86400.0),
+        (1e11, " yr", 365.25 * 86400.0),
+    ],
+)
+def test_times_of_pictures_are_in_the_unit_that_suits_the_run(end, unit, seconds):
+    effects = [
+        Viscosity(end),
+        Elasticity(1.0),
+        Friction("bottom", g=0.5),
+        BodyForce(so.Sine(4.0, period=end), f0=1.0),
+    ]
+    settings = {"t_end": end, "steps": 5, "units": "SI"}
+    scene = antiplane(square(4), clamped="top", effects=effects, **settings)
+    solution = scene.solve()
+    titles = [panel.get_title() for panel in scene.plot(solution, "displacement").axes[:-1]]
+    assert f"t = {end / seconds:.4g}{unit}" in titles
+    for name in ("contact", "space_time"):
+        panels = scene.plot(solution, name).axes
+        panel = next(one for one in panels if one.get_xlabel() == "time")
+        low, high = panel.get_xlim()
+        assert (low, high) == pytest.approx((0.0, end / seconds), rel=0.06)
+        assert panel.xaxis.get_major_formatter()(2.5) == f"2.5{unit}"
+
+
+def test_a_loop_marks_its_start(run):
+    (panel,) = draw(run, "loop").axes
+    (line,) = panel.lines
+    assert (line.get_marker(), line.get_markevery()) == ("o", [0])
+    assert panel.get_xlabel().endswith("(dot: start)")

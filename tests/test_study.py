@@ -246,6 +246,10 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path):
     scene.write_text(text)
     row = run_cell(here, here.problem)
     assert (row.status, row.problem, row.steps_done) == ("SUCCESS", "ring", 4)
+    assert row.path != "full"
+    scene.write_text(f'{text}\n[solve]\npath = "full"\n')  # the path that a scene names is taken
+    full = cell(tmp_path / "a")
+    assert run_cell(full, full.problem).path == "full"
 
 
 def test_a_scene_that_starts_from_a_run_is_another_when_the_run_is(tmp_path):

@@ -356,7 +356,7 @@ class Dashpot(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=_restricted(body, self.on, _mass(body, self)))
+        return Contribution(A=_restrict(body, self.on, _mass(body, self)))
 
 
 @dataclass(frozen=True)
@@ -391,7 +391,7 @@ class Foundation(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B."""
-        return Contribution(B=_restricted(body, self.on, _mass(body, self)))
+        return Contribution(B=_restrict(body, self.on, _mass(body, self)))
 
 
 @dataclass(frozen=True)
@@ -961,7 +961,7 @@ def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_arra
     return restricted
 
 
-def _restricted(body: Discretisation, on: Sequence[str], x: Any) -> Any:
+def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
     if size and abs(restricted).sum() <= TURNED * size:
@@ -994,6 +994,6 @@ def _force(
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(_restricted(body, on, place.vector(form)))
+        return np.asarray(_restrict(body, on, place.vector(form)))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

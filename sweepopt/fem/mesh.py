@@ -324,7 +324,7 @@ def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:
     fine, quadratic = _straight(mesh).refined(times), skfem.ElementTriP2()
     places = nested(mesh, quadratic, times, quadratic) @ mesh.doflocs.T
     curved = replace(skfem.MeshTri2.from_mesh(fine), doflocs=np.ascontiguousarray(places.T))
-    return _named(curved, fine)
+    return _with_names(curved, fine)
 
 
 def nested(
@@ -363,10 +363,10 @@ def nested(
 def _straight(mesh: skfem.MeshTri) -> skfem.MeshTri:
     """With the same corners, numbers and names, and straight edges."""
     corners = np.ascontiguousarray(mesh.p[:, : mesh.nvertices])
-    return _named(skfem.MeshTri(corners, mesh.t), mesh)
+    return _with_names(skfem.MeshTri(corners, mesh.t), mesh)
 
 
-def _named(mesh: skfem.MeshTri, other: skfem.MeshTri) -> skfem.MeshTri:
+def _with_names(mesh: skfem.MeshTri, other: skfem.MeshTri) -> skfem.MeshTri:
     """With the names that parts of another mesh, of the same numbers, have."""
     named = mesh.with_boundaries(other.boundaries or {})
     return named.with_subdomains(other.subdomains or {})

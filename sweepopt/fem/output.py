@@ -50,6 +50,10 @@ OF_WHOLE_BODIES = {"force": "N", "energy": "J", "certificate": "W^0.5", "viabili
 """Those of solids and bars, whose loads are not per length."""
 
 
+TIMES = {" yr": 365.25 * 86400.0, " d": 86400.0, " h": 3600.0, " s": 1.0, " ms": 1e-3}
+"""Units of time in words and pictures, in seconds."""
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
     """A run of a scene and what its files and pictures have in common.
@@ -110,6 +114,17 @@ class Report:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
         unit = self.units[quantity]
         return f" {unit}" if unit != "1" else ""
+
+    @property
+    def clock(self) -> tuple[str, float]:
+        """The longest unit of time that is no longer than the run, and its seconds."""
+        end, unit = self.solution.t[-1], self.suffix("time")
+        return next((one for one in TIMES.items() if unit and one[1] <= end), (unit, 1.0))
+
+    def moment(self, t: float) -> str:
+        """A time in words."""
+        unit, seconds = self.clock
+        return f"t = {t / seconds:.4g}{unit}"
 
 
 def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:

@@ -14,7 +14,13 @@ from sweepopt.fem import output, snapshots
 from sweepopt.fem.contact import Slip
 from sweepopt.fem.effects import released_matrices
 from sweepopt.fem.output import Report
-from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
+from sweepopt.fem.snapshots import (
+    STATE_COLOURS,
+    colours_of,
+    legend_of,
+    name_axis,
+    states_of,
+)
 from sweepopt.io import replacing, writable
 from sweepopt.plot import (
     LOOKS,
@@ -146,6 +152,7 @@ def contact(report: Report) -> Any:
 
     slip: Any = report.slip
     figure, loaded = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
+    _, seconds = report.clock
     panels = figure.subplots(3 + loaded, 1, sharex=True)
     zone, moved, traction = panels[:3]
     colours = ListedColormap(list(STATE_COLOURS.values()))
@@ -154,18 +161,20 @@ def contact(report: Report) -> Any:
     nodes, arc = spread(slip.total, len(STYLES)), slip.contact.arc
     for node, look in zip(nodes, LOOKS, strict=False):
         zone.axhline(arc[node], **look)
-        traction.plot(slip.stage_t, slip.use[:, node], **look)
+        traction.plot(slip.stage_t / seconds, slip.use[:, node], **look)
     # in the unit of the axis that shows them
     length = zone.yaxis.get_major_formatter() if report.suffix("length") else "{:g}".format
     names = slip.contact.boundary
     places = [f"{names[node]}, {length(float(f'{arc[node]:.3g}'))}" for node in nodes]
-    draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
+    draw_histories(
+        moved, slip.t / seconds, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places
+    )
     name_axis(report, moved.yaxis, "displacement", "length")
     legend_above(moved, 5)
     traction.set(ylabel="traction / bound,\nmean of each step", ylim=(-1.15, 1.15))
     if loaded:
         _, load, (_, name) = driven(report.scene, report.solution)
-        panels[3].plot(slip.t, load, color="black")
+        panels[3].plot(slip.t / seconds, load, color="black")
         name_axis(report, panels[3].yaxis, name, "force")
     name_axis(report, panels[-1].xaxis, "time", "time")
     legend_of(figure, states_of(slip))
@@ -180,7 +189,7 @@ def space_time(report: Report) -> Any:
     rate = np.ma.masked_equal(slip.velocity, 0.0)
     image = _over_time(report, slip, panel, rate, **colours_of(slip.velocity))
     name_axis(report, figure.colorbar(image, ax=panel).ax.yaxis, "slip rate", "velocity")
-    panel.set_ylim(_slipped(slip))
+    panel.set_ylim(_slip_range(slip))
     name_axis(report, panel.xaxis, "time", "time")
     legend_of(figure, {STICK: "sticks"} if rate.mask.any() else {})
     return figure
@@ -191,14 +200,13 @@ def profiles(report: Report) -> Any:
     slip: Any = report.slip
     figure = new_figure((8.5, 6.5))
     moved, traction = figure.subplots(2, 1, sharex=True)
-    (low, high), arc = _slipped(slip), slip.contact.arc
+    (low, high), arc = _slip_range(slip), slip.contact.arc
     inside = np.flatnonzero((low <= arc) & (arc <= high))
     arc, bound = arc[inside], slip.contact.bound[inside]
     chosen = even_steps(report.solution, 5)
     for i, look in zip(chosen.tolist(), LOOKS, strict=False):
-        label = f"t = {slip.t[i + 1]:.4g}{report.suffix('time')}"
         moved.plot(arc, slip.displacement[i + 1, inside], **look)
-        traction.plot(arc, slip.traction[i, inside], label=label, **look)
+        traction.plot(arc, slip.traction[i, inside], label=report.moment(slip.t[i + 1]), **look)
     names = ["bound, t = 0", "_"]  # of two lines one is in the legend
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8, label=names)
     legend_above(traction, 3)
@@ -213,8 +221,8 @@ def loop(report: Report) -> Any:
     figure = new_figure((6.0, 5.0))
     panel = figure.subplots()
     x, load, words = driven(report.scene, report.solution)
-    panel.plot(x, load, **LOOKS[0])
-    name_axis(report, panel.xaxis, words[0], "length")
+    panel.plot(x, load, "k-o", markevery=[0])
+    name_axis(report, panel.xaxis, f"{words[0]} (dot: start)", "length")
     name_axis(report, panel.yaxis, words[1], "force")
     panel.grid(alpha=0.3)
     return figure
@@ -271,10 +279,11 @@ def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: An
     x = place[order]
     edges = np.hstack([x[0], (x[1:] + x[:-1]) / 2.0, x[-1]])
     name_axis(report, panel.yaxis, name, "length")
-    return panel.pcolormesh(slip.t, edges, values[:, order].T, rasterized=True, **look)
+    t = slip.t / report.clock[1]
+    return panel.pcolormesh(t, edges, values[:, order].T, rasterized=True, **look)
 
 
-def _slipped(slip: Slip) -> tuple[float, float]:
+def _slip_range(slip: Slip) -> tuple[float, float]:
     """The place between the outermost nodes that ever slip, and some more."""
     place, _ = _place(slip)
     where = place[slip.total > 0] if slip.total.any() else place

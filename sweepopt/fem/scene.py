@@ -422,7 +422,7 @@ def build(
     title = settings["title"]
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
-    space, effects = _composed(space, effects)
+    space, effects = _resolve(space, effects)
     steps = settings["steps"]
     vars(space)["start"] = float(entries("steps", steps)[0]) if axes(steps) else 0.0
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
@@ -433,7 +433,7 @@ def build(
         for label, one in zip(effects, internal, strict=True)
         if one.stop > one.start
     }
-    parts = _placed(space.dim, parts, size)
+    parts = _on_all_unknowns(space.dim, parts, size)
     A, B = total(parts, "A"), total(parts, "B")
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
@@ -441,7 +441,7 @@ def build(
     with _blaming(effects, parts):
         _check_held(space, A, B)
     _check_lifts(space, yields, lifts, internal=size > space.dim)
-    loads += _lifted(space, effects, lifts) if lifts else []
+    loads += _forces_of_motion(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size - space.dim)
     if isinstance(u0, Initial):
@@ -470,7 +470,7 @@ def build(
     )
 
 
-def _composed(
+def _resolve(
     space: Discretisation, effects: Mapping[str, Effect]
 ) -> tuple[Discretisation, dict[str, Effect]]:
     """The space, turned where effects need it, and each effect with what it takes from others."""
@@ -631,7 +631,7 @@ def _valid_contribution(part: Any, space: Discretisation, own: bool) -> Contribu
     return part
 
 
-def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
+def _on_all_unknowns(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
     """The parts on all unknowns: internal ones follow those of the body in order."""
     if size == dim:
         return list(parts)
@@ -676,7 +676,7 @@ def _force(terms: Sequence[Any], dim: int, internal: int) -> Any:
     return Separable(padded) if terms else None
 
 
-def _lifted(
+def _forces_of_motion(
     space: Discretisation,
     effects: Mapping[str, Effect],
     lifts: Sequence[tuple[History, Array]],

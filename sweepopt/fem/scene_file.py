@@ -175,7 +175,7 @@ def read_scene(
     """
     data, folder, where = load_scene(source, folder)
     with at_path(where):
-        return _assembled(changed(data, changes or {}), folder, changes or {}, without)
+        return _scene_of(changed(data, changes or {}), folder, changes or {}, without)
 
 
 def keys_of(effect: type) -> str:
@@ -203,12 +203,12 @@ def load_scene(
     return read_toml(path), path.parent, f"{source}: "
 
 
-def _assembled(
+def _scene_of(
     data: Mapping[str, Any], folder: Path, changes: Mapping[str, Any], without: Sequence[str]
 ) -> Scene:
     """The scene of its tables."""
     _require_places("", data)
-    file = _called(_File, data, "", folder)
+    file = _construct(_File, data, "", folder)
     for name in ("domain", "time", "solve"):
         _require_places(name, getattr(file, name))
     pictures = listed("pictures", file.pictures) if file.pictures else ()
@@ -216,18 +216,18 @@ def _assembled(
         choice("pictures", name, PICTURES)
     tables = effect_tables(file.effects)
     labels = remaining(list(tables), without)
-    body = _called(Discretisation, file.domain, "domain", folder)
+    body = _construct(Discretisation, file.domain, "domain", folder)
     there = ", ".join(sorted(body.mesh.boundaries or {})) or "none"
     missing = {"on": f"; the boundaries are: {there}"}
-    chosen = {label: _called(*tables[label], label, folder, missing) for label in labels}
+    chosen = {label: _construct(*tables[label], label, folder, missing) for label in labels}
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
     settings["changes"] = (
         *(f"{path} = {value!r}" for path, value in changes.items()),
         *(f"without {name}" for name in ([without] if isinstance(without, str) else without)),
     )
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
-        settings |= _called(kind, table, path, folder)
-    return build(body, chosen, _called(Initial, file.initial, "initial", folder), settings)
+        settings |= _construct(kind, table, path, folder)
+    return build(body, chosen, _construct(Initial, file.initial, "initial", folder), settings)
 
 
 def _require_places(name: str, table: Any) -> None:
@@ -242,7 +242,7 @@ def _require_places(name: str, table: Any) -> None:
             raise InputError(f"{here}{key}: unknown key; did you mean {place}{key}?")
 
 
-def _called(
+def _construct(
     kind: Callable[..., Any],
     table: Any,
     path: str,
@@ -271,15 +271,15 @@ def _require_plain(path: str, annotation: Any, value: Any) -> None:
 def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     """A value of a table: files are relative to the folder, tables become records."""
     if key == "mesh" and isinstance(value, Mapping):
-        return _called(chain if "nodes" in value else grid, value, path, folder)
+        return _construct(chain if "nodes" in value else grid, value, path, folder)
     if key in ("mesh", "csv", "run"):
         return folder / as_path(path, value)
     if key == "history":
         return _history(value, path, folder)
     if key == "slip":
-        return _called(SlipWeakening, value, path, folder)
+        return _construct(SlipWeakening, value, path, folder)
     if isinstance(value, Mapping) and "along" in value:
-        return _called(Profile, value, path, folder)
+        return _construct(Profile, value, path, folder)
     return value
 
 
@@ -315,12 +315,12 @@ def _history(table: Any, path: str, folder: Path) -> Any:
             with at_path(f"{path}."):
                 return Modulated(wave, _history(envelope, "envelope", folder))
         case {"csv": _}:
-            return _called(_column, table, path, folder)
+            return _construct(_column, table, path, folder)
         case {"waveform": name, **keys}:
             kind = WAVEFORMS[choice(f"{path}.waveform", name, WAVEFORMS)]
-            return _called(kind, keys, path, folder)
+            return _construct(kind, keys, path, folder)
         case {"table": points, **others} if not others:
-            return _called(_points, points, f"{path}.table", folder)
+            return _construct(_points, points, f"{path}.table", folder)
     given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)
     raise InputError(
         f'{path}: must have one of csv, waveform or table, such as {{ waveform = "sine", amplitude '

@@ -103,21 +103,21 @@ def displacement(report: Report, steps: Array) -> Field:
         if hasattr(one, "pulled")
         for name in boundary_names(f"{type(one).__name__}.pulled", one.pulled)
     ]
-    arcs, look, label = [(body.mesh.boundary_facets(), "black", 0.6)], colours_of(u), OUT
+    arcs, look, label = list[Any](), colours_of(u), OUT
     moved = np.broadcast_to(x, (len(steps), *x.shape))
     if body.components > 1:
         moved, label = _moved(report, steps, SIZE)
     clamped = [name for name in body.clamped or () if name not in pulled]
     for what, names, colour in (("clamped", clamped, "black"), ("pulled", pulled, PULLED)):
         if names:
-            arcs.append((body.facets(what, names)[0], colour, 3.0))
+            arcs.append((body.facets(what, names)[0], colour))
             legend[colour] = what
 
     def draw(panel: Any, i: int) -> Any:
-        for facets, colour, width in arcs:
-            edges: Any = moved[i][body.facet_nodes(facets).T]
-            panel.add_collection(LineCollection(edges, colors=colour, lw=width))
         image = _fill(report, panel, moved[i], u[i], **look)
+        for facets, colour in arcs:
+            edges: Any = moved[i][body.facet_nodes(facets).T]
+            panel.add_collection(LineCollection(edges, colors=colour, lw=3.0))
         _mark(report, panel, steps[i], moved[i])
         return image
 
@@ -198,7 +198,7 @@ def _moved(report: Report, steps: Array, label: str) -> tuple[Array, str]:
     """
     u, x = report.at("displacement", steps), report.body.points
     factor = 0.1 * np.ptp(x, axis=0).max() / (signed_lengths(u).max() or 1.0)
-    return x + factor * u, f"{label}\n(drawn {factor:.2g} times as large)"
+    return x + factor * u, f"{label}\n(displacement drawn {factor:.2g} times as large)"
 
 
 def flow(report: Report, steps: Array) -> Field:
@@ -251,18 +251,19 @@ def arrows(report: Report, steps: Array) -> Field:
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
     x, speed, use = slip.contact.points[:, plane], slip.speed[steps], slip.use[steps]
     velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][..., plane]
-    scale = (speed.max() or 1.0) / (0.08 * np.ptp(x[:, 0]))
 
     def draw(panel: Any, i: int) -> Any:
-        moves = speed[i] > 0
+        moves, fastest = speed[i] > 0, speed[i].max()
+        scale = (fastest or 1.0) / (0.08 * np.ptp(x[:, 0]))
         panel.quiver(*x[moves].T, *velocity[i, moves].T, angles="xy", scale_units="xy", scale=scale)
+        longest = f"slip arrows up to {fastest:.2g}{report.suffix('velocity')}"
+        panel.title.set_text(f"{panel.get_title()}, {longest}")
         panel.set_aspect("equal")
         return panel.scatter(*x.T, c=use[i], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
 
     axes = tuple("xyz"[k] for k in plane)
     label = "friction traction / bound,\nmean of each step"
-    longest = f"slip velocity, the longest arrow {speed.max():.2g}{report.suffix('velocity')}"
-    return Field(draw, x, label, "", {"none": f"\N{LONG RIGHTWARDS ARROW} {longest}"}, axes)
+    return Field(draw, x, label, "", {}, axes)
 
 
 def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
@@ -275,7 +276,10 @@ def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
 
 
 def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
-    """The label of an axis, and ticks in one unit, such as 20 mm; without units plain numbers."""
+    """The label of an axis, and ticks in one unit, such as 20 mm; without units plain numbers.
+
+    An axis of time is in the unit of `Report.clock`.
+    """
     from matplotlib.ticker import EngFormatter
 
     def tick(x: float, _: int) -> str:
@@ -285,7 +289,9 @@ def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
         return f"{number} {EngFormatter.ENG_PREFIXES[power]}{report.units[quantity]}"
 
     axis.set_label_text(label)
-    if quantity and report.suffix(quantity):
+    if quantity == "time":
+        axis.set_major_formatter(f"{{x:g}}{report.clock[0]}")
+    elif quantity and report.suffix(quantity):
         axis.set_major_formatter(tick)
 
 
@@ -309,7 +315,11 @@ def states_of(slip: Slip | None) -> dict[str, str]:
 
 
 def _fill(report: Report, panel: Any, points: Array, *values: Array, **look: Any) -> Any:
-    """Values at the nodes of a body in the plane, or `facecolors` of its triangles."""
+    """Values at the nodes of a body in the plane, or `facecolors` of its triangles, outlined."""
+    from matplotlib.collections import LineCollection
+
+    edges: Any = points[report.body.facet_nodes(report.body.mesh.boundary_facets()).T]
+    panel.add_collection(LineCollection(edges, colors="black", lw=0.6))
     look |= {"shading": "gouraud" if values else "flat", "rasterized": True}
     panel.set_aspect("equal")
     return panel.tripcolor(*points.T, report.body.triangles, *values, **look)
@@ -350,8 +360,7 @@ def off_screen() -> Any:
 
 def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any:
     """The field on a panel, and the time."""
-    t = report.solution.t[steps[i] + 1]
-    panel.set_title(f"t = {t:.4g}{report.suffix('time')}", fontsize="medium")
+    panel.set_title(report.moment(report.solution.t[steps[i] + 1]), fontsize="medium")
     return field.draw(panel, i)
 
 

@@ -65,6 +65,7 @@ def first_grid(
     stable = math.inf
     if scheme.explicit and process.B is not None and process.Lam > 0:
         stable = 1 / process.Lam
+    # enough for a second pass to see where errors are; twice as many where nothing is known between
     first = steps.first or end / (16 if known else 32)
     longest = min(first, period / (2 * PER_PIECE), stable)
     if end / longest > STEPS:
@@ -110,7 +111,7 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
     while True:
         before, began = sol, clock.perf_counter()
         try:
-            sol = _noted(run, times, tol)
+            sol = _with_note(run, times, tol)
         except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
             if before is None:
                 raise
@@ -126,7 +127,8 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
             common = np.isin(times, before.t, assume_unique=True)
             change = squares(process.metric.M, sol.u[common] - before.u).max()
             error = math.sqrt(max(change, 0.0)) * share / (1 - share)
-            # of switches anywhere in a step, with signs by chance
+            # of switches, with signs by chance: where z' jumps at the share x of a step, the error
+            # of order 2 is x (1 - x) / 2 of h^3 z'', in the mean over x a twelfth
             error += math.sqrt((errors**2).sum()) / 12
             this = this._replace(error=error)
         passes.append(this)
@@ -160,7 +162,7 @@ def _first_steps(sol: Any, k: int) -> Any:
     return replace(sol, t=sol.t[: k + 1], states=states, statistics=statistics)
 
 
-def _noted(run: Runs, times: Array, tol: float) -> Any:
+def _with_note(run: Runs, times: Array, tol: float) -> Any:
     """The run, with a note on what a user's function raised."""
     try:
         return run(times, tol)

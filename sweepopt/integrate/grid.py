@@ -165,6 +165,7 @@ def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
     theta = process.contraction(gamma)
     if theta <= CONTRACTS:
         return theta
+    # 2^-50 of a step is less than the times are rounded by
     halved = ((mu / 2**k, process.contraction(gamma / 2**k)) for k in range(1, 50))
     shorter = (size for size, contracts in halved if contracts <= CONTRACTS)
     remedy = next(

@@ -184,8 +184,8 @@ def _mean(weights: Sequence[float], velocities: Stages, work: Stages | None = No
     attempts = [one.attempts for one in work or velocities]
     return Velocity(
         combination(weights, velocities),
-        _worst(one.certificate for one in velocities),
-        _worst(one.relative for one in velocities),
+        _largest(one.certificate for one in velocities),
+        _largest(one.relative for one in velocities),
         velocities[-1].solver,
         sum(one.iterations for one in work or velocities),
         sum(attempts) if work else max(attempts),
@@ -209,6 +209,6 @@ def combination(weights: Sequence[float], velocities: Stages) -> Array:
     return total
 
 
-def _worst(values: Iterable[float]) -> float:
+def _largest(values: Iterable[float]) -> float:
     """The largest, or nan if one of them has no proof."""
     return max(values, key=lambda value: math.inf if math.isnan(value) else value)

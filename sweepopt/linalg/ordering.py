@@ -41,7 +41,7 @@ def is_solid(M: Matrix) -> bool:
 
 def fill_reducing(M: Matrix) -> Array:
     """An order of the unknowns of a symmetric sparse M."""
-    return _dissected(_graph(M)) if is_solid(M) else _minimum_degree(M)
+    return _nested_dissection(_graph(M)) if is_solid(M) else _minimum_degree(M)
 
 
 def _graph(M: Matrix) -> sp.csr_array:
@@ -70,7 +70,7 @@ def _minimum_degree(M: Matrix) -> Array:
     return np.ravel(amd.order(triangle(M))).astype(np.int64)
 
 
-def _dissected(graph: sp.csr_array) -> Array:
+def _nested_dissection(graph: sp.csr_array) -> Array:
     """The order, from its end on, by a list of what is still to be parted: nothing recurses."""
     waiting, order = [(np.arange(graph.shape[0]), graph)], []
     while waiting:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -130,6 +130,7 @@ class SweepingProcess(Displayed):
     _stated_by: tuple[str, ...] = ("C",)
     moved = False  # whether a body's boundaries are moved by data, whose work is in no load
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
+    _instead: ClassVar = {"solve": "it is a function, so.solve(process, t_end=1.0, steps=100)"}
 
     def __init__(
         self, A: Any, B: Any, C: AnySet, u0: Any, fields: dict[str, slice] | None = None

@@ -64,7 +64,7 @@ TRIED = {
     "error": "a bound of the error is error_bound()",
     "certificate": "certificates are stats['certificate'], one a step",
 }
-"""Names that users try, those of SciPy's solve_ivp first, and what stands here for them."""
+"""Those of SciPy's solve_ivp first."""
 
 
 class Field(NamedTuple):
@@ -126,17 +126,12 @@ class Solution(Displayed):
     trajectory: Trajectory | None = None
     loaded: bool = False
 
+    _instead = TRIED
+
     def __getstate__(self) -> dict[str, Any]:
         """For copies and pickle: the states as arrays; those of a run are functions of its plan."""
         states = States(self.steps, self.u.__getitem__, self.velocity.__getitem__)
         return {one.name: getattr(self, one.name) for one in fields(self)} | {"states": states}
-
-    if not TYPE_CHECKING:  # to a type checker no other attribute exists
-
-        def __getattr__(self, name: str) -> Any:
-            if name in TRIED:
-                raise AttributeError(f"Solution has no attribute {name}; {TRIED[name]}")
-            return object.__getattribute__(self, name)
 
     def __getitem__(self, key: Any) -> Any:
         raise InputError(

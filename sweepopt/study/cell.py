@@ -227,7 +227,7 @@ def run_cell(cell: Cell, finest: Source) -> CellRow:
 
 def solution_of(cell: Cell) -> Solution:
     """The cell's trajectory, solved anew."""
-    process, t_end, _ = open_source(cell.problem)
+    process, t_end, _, path = open_source(cell.problem)
     return solve(
         process,
         t_end=t_end,
@@ -235,6 +235,7 @@ def solution_of(cell: Cell) -> Solution:
         scheme=cell.scheme,
         solver=cell.solver,
         tol=cell.tol,
+        path=path,
         on_failure="stop",
     )
 

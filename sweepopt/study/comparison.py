@@ -142,7 +142,7 @@ def record(source: Source, steps: int) -> list[Program]:
 
             return noted
 
-    process, t_end, _ = open_source(source)
+    process, t_end, *_ = open_source(source)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         solve(process, t_end=t_end, steps=steps, solver=Recorder(), on_failure="stop")

@@ -157,8 +157,8 @@ def body_name(name: str, refinements: int, element: str) -> str:
 
 
 @lru_cache(maxsize=8)
-def open_source(source: Source) -> tuple[SweepingProcess, float, Any]:
-    """The process, how long it runs, and a scene's discretisation, built once in each worker.
+def open_source(source: Source) -> tuple[SweepingProcess, float, Any, str]:
+    """The process, how long it runs, a scene's discretisation and path, once in each worker.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def open_source(source: Source) -> tuple[SweepingProcess, float, Any]:
         raise SweepoptError(f"{path} is not as it was when the study started; start it again")
     if source.small:
         small = PROBLEMS[source.name]
-        return small.process(), small.t_end, None
+        return small.process(), small.t_end, None, "auto"
     from sweepopt.fem import read_scene
 
     changes: dict[str, Any] = {"domain.element": source.element} if source.element else {}
@@ -179,7 +179,7 @@ def open_source(source: Source) -> tuple[SweepingProcess, float, Any]:
         changes["domain.refinements"] = own + source.refinements
     scene = read_scene(path, changes=changes)
     assert scene.t_end is not None  # a file has it
-    return scene.problem.as_sweeping(), scene.t_end, scene.discretisation
+    return scene.problem.as_sweeping(), scene.t_end, scene.discretisation, scene.path
 
 
 @lru_cache(maxsize=8)

@@ -122,14 +122,16 @@ class StateVelocity:
             if not self._plan.condensed:
                 few, c, S = self._contact, shifted, part
             else:
-                mapped = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
+                mapped = self._by_return_mapping(
+                    Instance(q - shifted, q, shifted, part, u, self._contact)
+                )
                 if mapped is not None and mapped.relative <= self._tol:
                     return mapped
         S = self._copy(S)
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
         if self._plan.cones:
-            velocity = self._coned(of)
+            velocity = self._by_cones(of)
             if velocity.relative <= self._tol:
                 return velocity
         if self._cascade is None or not self._cascade.serves(inclusion, S):
@@ -137,7 +139,7 @@ class StateVelocity:
             self._cascade = Cascade(*data, self._plan.proved, anew)
         return self._cascade(of)
 
-    def _mapped(self, of: Instance) -> Velocity | None:
+    def _by_return_mapping(self, of: Instance) -> Velocity | None:
         """By return mapping, and certified; None where alpha' = |p'| is not certain."""
         if self._on_condensed is None:
             H = exchanged(self._M, Selection(self._contact, of.S, None))
@@ -156,7 +158,7 @@ class StateVelocity:
         velocity = refined(inclusion, partial(self._mapping.propose, of.S), of, self._tol)
         return velocity._replace(solver="return mapping", attempts=1)
 
-    def _coned(self, of: Instance) -> Velocity:
+    def _by_cones(self, of: Instance) -> Velocity:
         """By the method of multipliers, and certified."""
         inclusion = self._on_all
         if self._cones is None or not (self._cones.S is of.S or self._cones.S.same_cone(of.S)):

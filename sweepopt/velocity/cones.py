@@ -134,7 +134,7 @@ class Cones:
             size = max(self._size, self._M.norm(base + state.w))
             return self._M.is_within(state.R, 0.1 * self._tol * size)
 
-        state, iterations = self._energy.minimised(residual, start, law, converged)
+        state, iterations = self._energy.minimise(residual, start, law, converged)
         self._z, self._s = base + state.w, state.s.reshape(len(s0), -1)
         creep = sigma * (rates_base + state.x.reshape(len(s0), -1))
         rigid = (lengths(s0 + creep) <= g) | (lengths(creep) <= g)

@@ -101,7 +101,7 @@ class Energy:
         self._last: tuple[Sequence[Array], Any] = (), None
         self._root = np.sqrt(K.diagonal())
 
-    def minimised(
+    def minimise(
         self, f: Array, w: Array, law: Law, converged: Callable[[State], bool]
     ) -> tuple[State, int]:
         """Newton steps from w until one converges or none is left, and how many were taken.

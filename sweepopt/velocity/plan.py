@@ -128,7 +128,7 @@ class Plan(Displayed):
     def _rows(self) -> Rows:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
-            solver += ", a formula where M is diagonal"
+            solver += ", closed form where M is diagonal"
         if self.condensed:
             solver = "return mapping, Newton's method with the consistent tangent"
         if self.cones:

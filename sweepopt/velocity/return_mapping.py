@@ -99,7 +99,7 @@ class ReturnMapping:
             rho[rest] = state.R
             return self._M.is_within(rho, share * self._tol * self._size)
 
-        state, iterations = self._energy.minimised(f, start, law, converged)
+        state, iterations = self._energy.minimise(f, start, law, converged)
         r, z, w = r_base + state.x, base.copy(), 0 * residual
         z[rest] += state.w
         z[few], w[few] = mapped(r), S.project(r)

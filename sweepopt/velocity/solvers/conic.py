@@ -94,7 +94,7 @@ class OSQP(Settings):
             result = engine.solve(raise_error=False)
             return result.x, result.info.iter, result.info.status
 
-        return _updated(program, linear_map, set_up, run)
+        return _with_engine(program, linear_map, set_up, run)
 
 
 @dataclass(frozen=True)
@@ -159,10 +159,10 @@ class Clarabel(Settings):
             solution = engine.solve()
             return solution.x, solution.iterations, str(solution.status)
 
-        return _updated(program, linear_map, set_up, run)
+        return _with_engine(program, linear_map, set_up, run)
 
 
-def _updated(
+def _with_engine(
     program: VelocityProgram,
     linear_map: sp.csr_array,
     set_up: Callable[[Array], Any],

@@ -90,7 +90,7 @@ class _Iteration:
             self._z = self._nearest(q, C)
         for damped in (False, True):
             # a start that is exact but for rounding may end with the first residual
-            self._z, converged, steps = self._iterated(q, C, self._z, damped, stalled=int(near))
+            self._z, converged, steps = self._iterate(q, C, self._z, damped, stalled=int(near))
             iterations += steps
             if converged:
                 break
@@ -106,7 +106,7 @@ class _Iteration:
         C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
         return z
 
-    def _iterated(
+    def _iterate(
         self, q: Array, C: ConvexSet, z: Array, damped: bool, stalled: int
     ) -> tuple[Array, bool, int]:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
