@@ -135,8 +135,7 @@ def test_whether_the_start_is_inside_is_found_without_a_slow_projection():
         run(flow(12, ONE), path="auto")
 
 
-@pytest.mark.parametrize("scheme", ["implicit-euler", "sdirk2"])
-@pytest.mark.parametrize("kappa", [0.0, 1.0])
+@pytest.mark.parametrize("scheme, kappa", [("implicit-euler", 0.0), ("sdirk2", 1.0)])
 def test_the_bound_is_above_the_error_and_close_to_it(scheme, kappa):
     case = flow(6, so.Sine(1.0, 4.0), kappa=kappa)
     sol = run(case, 16, t_end=2.0, scheme=scheme)

@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 from functools import cache, partial
+from itertools import cycle
 
 import cvxpy as cp
 import numpy as np
@@ -104,7 +105,7 @@ INEXACT = [("V05", "implicit-euler"), ("V05", "midpoint"), *(("M17", s) for s in
 
 @pytest.mark.parametrize("name, scheme", INEXACT)
 def test_the_error_of_an_inexact_solver_is_inside_the_bound(name, scheme):
-    sol = run(name, 101, scheme, solver=Inexact(), tol=0.1)
+    sol = run(name, 21, scheme, solver=Inexact(), tol=0.1)
     assert largest_error(name, sol) <= sol.error_bound()
 
 
@@ -196,26 +197,31 @@ def test_a_grid_is_cut_where_the_bound_arises_and_no_more_often_than_said(shares
     assert (abs(inside - cuts * root / root.sum()) <= 1.0).all()
 
 
-@pytest.mark.parametrize("name", ["S03", "P09", "V05"])
-@pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
+@pytest.mark.parametrize(
+    "name, scheme",
+    [("P09", "midpoint"), ("S03", "midpoint"), ("S03", "trapezoid"), ("S03", "sdirk2")]
+    + [("V05", "trapezoid"), slow("P09", "trapezoid"), slow("P09", "sdirk2")]
+    + [slow("V05", "midpoint"), slow("V05", "sdirk2")],
+)
 def test_the_bound_falls_with_the_order_of_the_scheme(name, scheme):
-    grids = (26, 51, 101, 201)
+    grids = (13, 26, 51, 101)
     bounds = [float(run(name, steps, scheme).error_bound()) for steps in grids]
     assert slope(grids, bounds) >= 1.45
 
 
-@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+@pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
 def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given(scheme):
-    this, wave = case("S03"), so.Sine(3.0, np.pi)
-    sol = so.solve(this.process, t_end=this.t_end, steps=101, scheme=scheme, on_unstable="ignore")
+    process, wave = case("S03").process, so.Sine(3.0, np.pi)
+    sol = so.solve(process, t_end=8.0, steps=101, scheme=scheme, on_unstable="ignore")
+    error = largest_error("S03", sol)
     with pytest.warns(so.BoundWarning, match="sampled, not guaranteed"):
         sampled = sol.error_bound()
     assert not sampled.guaranteed
     if scheme == "implicit-euler":  # one pass: the grid of a bound from data may be refined
-        assert this.error(sol) <= sampled <= 2 * this.error(sol)
+        assert error <= sampled <= 2 * error
     bound = sol.error_bound(variation=lambda t: wave.variation(0.0, t))
     assert bound.guaranteed
-    assert this.error(sol) <= bound <= 0.5
+    assert error <= bound <= 0.5
     with pytest.raises(so.InputError, match="variation must not fall"):
         sol.error_bound(variation=lambda t: -t)
 
@@ -225,10 +231,13 @@ def test_a_set_that_is_a_function_needs_its_variation_too():
         return so.Box(2 * np.sin(t) - 1 - 0.2 * t, 2 * np.sin(t) + 1 + 0.1 * t)
 
     process = so.SweepingProcess(1.0, 1.0, so.MovingSet(C), 0.0)
-    reference = so.solve(process, t_end=4.0, steps=1000)
+    h = [(so.Sine(2.0, 2 * np.pi), [1.0, -1.0]), (so.Constant(), [1.0, 1.0])]
+    h.append((so.Polynomial([0.0, 1.0]), [0.1, 0.2]))
+    same = so.SweepingProcess(1.0, 1.0, so.Polyhedron([[1.0], [-1.0]], so.Separable(h)), 0.0)
+    truth = so.solve(same, t_end=4.0, steps=1, scheme="exact").exact
     for steps in (50, 200):
         sol = so.solve(process, t_end=4.0, steps=steps)
-        error = np.abs(sol.u - reference(sol.t)).max()
+        error = np.abs(sol.u - truth(sol.t)).max()
         with pytest.warns(so.BoundWarning):
             sampled = sol.error_bound()
         known = sol.error_bound(variation=lambda t: 2.2 * t)
@@ -248,7 +257,7 @@ def curved_cone():
 def test_cones_have_a_guaranteed_bound(scheme):
     process = curved_cone()
     sol = so.solve(process, t_end=2.5, steps=20, scheme=scheme)
-    reference = so.solve(process, t_end=2.5, steps=300)
+    reference = so.solve(process, t_end=2.5, steps=150)
     close_bound(sol, reference.t, reference.u, 1.1)
 
 
@@ -272,27 +281,26 @@ def coupled(seed, history, A):
 
 
 @pytest.mark.parametrize(
-    "seed, A, history",  # dense rows, and sparse ones
+    "seed, A, scheme, history",  # dense rows, and sparse ones
     [
-        (0, 0.3, lambda random: so.Sine(1.0, random.uniform(1.0, 3.0))),
+        (0, 0.3, "sdirk2", lambda random: so.Sine(1.0, random.uniform(1.0, 3.0))),
         (
-            *(1, 0.0),
+            *(1, 0.0, "implicit-euler"),
             lambda random: so.Table([0, 0.5, 1.1, 1.7, 2.0], np.append(0, random.normal(size=4))),
         ),
     ],
     ids=["sines", "tables"],
 )
-def test_coupled_rows_that_move_have_a_guaranteed_bound(seed, A, history):
+def test_coupled_rows_that_move_have_a_guaranteed_bound(seed, A, scheme, history):
     process = coupled(seed, history, A)
-    bounds_are_close_to_the_exact_errors(process)
+    bound_is_close_to_the_exact_error(process, scheme)
 
 
-def bounds_are_close_to_the_exact_errors(process):
+def bound_is_close_to_the_exact_error(process, scheme):
     truth = so.solve(process, t_end=2.0, steps=1, scheme="exact")
-    for scheme in FOR_A_ZERO:
-        sol = so.solve(process, t_end=2.0, steps=20, scheme=scheme, on_unstable="ignore")
-        times = divided(sol.t, 8)
-        close_bound(sol, times, truth.exact(times), 4)
+    sol = so.solve(process, t_end=2.0, steps=10, scheme=scheme, on_unstable="ignore")
+    times = divided(sol.t, 16)
+    close_bound(sol, times, truth.exact(times), 4)
 
 
 def made_of_rows(kind, random):
@@ -321,16 +329,20 @@ OF_ROWS |= {"on two of three": 0.0, "boxes scaled apart": 0.3, "P + c": 0.3, "C 
 
 
 @pytest.mark.parametrize(
-    "kind, A", [*OF_ROWS.items(), *(slow(kind, 0.3 - A) for kind, A in OF_ROWS.items())]
+    "kind, A, scheme",  # in turn
+    [(*each, scheme) for each, scheme in zip(OF_ROWS.items(), cycle(FOR_A_ZERO), strict=False)]
+    + [slow(kind, 0.3 - A, scheme) for scheme in FOR_A_ZERO for kind, A in OF_ROWS.items()],
 )
-def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_trajectory(kind, A):
+def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_trajectory(
+    kind, A, scheme
+):
     random = np.random.default_rng(8)
     C = made_of_rows(kind, random)
     Q, R = random.normal(size=(2, C.dim, C.dim))
     A, B = A * (Q @ Q.T + 0.2 * np.eye(C.dim)), R @ R.T + 0.5 * np.eye(C.dim)
     u0 = np.linalg.solve(B, C.at(0.0).project(random.normal(size=C.dim)))
     process = so.SweepingProcess(A, B, C, u0)
-    bounds_are_close_to_the_exact_errors(process)
+    bound_is_close_to_the_exact_error(process, scheme)
 
 
 @pytest.mark.parametrize("A", [1.0, 1e-4])
@@ -385,8 +397,8 @@ def test_the_bound_of_sets_without_proofs_is_not_guaranteed():
         so.SweepingProcess(np.eye(2), np.eye(2), so.Moving(C, load), [3.0, 0.0])
         for C in (disc, so.Ball([3.0, 0.0], 1.0))
     ]
-    sol = so.solve(processes[0], t_end=1.0, steps=4)
-    reference = so.solve(processes[1], t_end=1.0, steps=400)
+    sol = so.solve(processes[0], t_end=1.0, steps=2)
+    reference = so.solve(processes[1], t_end=1.0, steps=200)
     error = sizes(processes[1], sol(reference.t) - reference.u).max()
     with pytest.warns(so.BoundWarning, match="nothing is proved of Constraints"):
         bound = sol.error_bound()
@@ -403,23 +415,39 @@ COMPOSED = {
 }
 
 
-@pytest.mark.parametrize("name, A", [*((name, 1.0) for name in COMPOSED), ("an ellipse", 0.0)])
-def test_the_bound_of_composed_and_curved_sets_is_close(name, A):
+@pytest.mark.parametrize(
+    "name, A, scheme, most",
+    [
+        ("a box cut with a ball", 1.0, "implicit-euler", 2),
+        ("a ball and an ellipse", 1.0, "sdirk2", 3),
+        ("an ellipse", 1.0, "sdirk2", 3),
+        ("a parallelogram", 1.0, "sdirk2", 3),
+        ("an ellipse", 0.0, "implicit-euler", 2),
+    ],
+)
+def test_the_bound_of_composed_and_curved_sets_is_close(name, A, scheme, most):
     waves = [(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])]
     C, B = so.Moving(COMPOSED[name], so.Separable(waves)), [[1.0, -0.2], [-0.2, 0.8]]
     process = so.SweepingProcess(A * np.array([[1.0, 0.3], [0.3, 0.6]]), B, C, [0.0, 0.0])
-    fine = so.solve(process, t_end=3.0, steps=120, scheme="sdirk2", tol=1e-9)
-    for scheme, most in (("implicit-euler", 2), ("sdirk2", 3)):
-        sol = so.solve(process, t_end=3.0, steps=8, scheme=scheme)
-        close_bound(sol, fine.t, fine.u, most, 0.99)
+    fine = so.solve(process, t_end=3.0, steps=90, scheme="sdirk2", tol=1e-9)
+    sol = so.solve(process, t_end=3.0, steps=6, scheme=scheme)
+    close_bound(sol, fine.t, fine.u, most, 0.99)
 
 
 @pytest.mark.parametrize(
-    "scale, A",
-    [("a curve", 1.0), ("a curve", 1e-3), ("closes and opens", 1e-3), ("touches 0", 1e-3)]
-    + [slow("closes and opens", 1.0), slow("touches 0", 1.0)],
+    "scale, A, schemes",  # of a box and of a ball
+    [
+        ("a curve", 1.0, FOR_A_ZERO),
+        ("a curve", 1e-3, FOR_A_ZERO[::-1]),
+        ("closes and opens", 1e-3, FOR_A_ZERO),
+        ("touches 0", 1e-3, FOR_A_ZERO[::-1]),
+        slow("closes and opens", 1.0, FOR_A_ZERO[::-1]),
+        slow("touches 0", 1.0, FOR_A_ZERO),
+    ],
 )
-def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_error(A, scale):
+def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_error(
+    scale, A, schemes
+):
     scales = {
         "a curve": so.Sine(0.6, period=2.5, offset=1.0),
         "closes and opens": so.Table([0.0, 1.0, 1.5, 3.0], [1.0, 0.0, 0.0, 1.2]),
@@ -427,15 +455,15 @@ def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_err
     }
     load = so.Separable([(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])])
     B = [[1.0, -0.2], [-0.2, 0.8]]
-    for S in (so.Box([-1.0, -0.5], [0.8, 1.0]), so.Ball([0.1, 0.2], 1.0)):
+    box, ball = so.Box([-1.0, -0.5], [0.8, 1.0]), so.Ball([0.1, 0.2], 1.0)
+    for S, scheme in zip((box, ball), schemes, strict=True):
         process = so.SweepingProcess(
             A * np.eye(2), B, so.Moving(S, load, scales[scale]), [0.0, 0.0]
         )
         # both with steps that end at the breakpoints of the scale
-        fine = so.solve(process, t_end=3.0, steps=480, scheme="sdirk2", tol=1e-9)
-        for scheme in ("implicit-euler", "sdirk2"):
-            sol = so.solve(process, t_end=3.0, steps=12, scheme=scheme)
-            close_bound(sol, fine.t, fine.u, 2, 0.99)
+        fine = so.solve(process, t_end=3.0, steps=240, scheme="sdirk2", tol=1e-9)
+        sol = so.solve(process, t_end=3.0, steps=6, scheme=scheme)
+        close_bound(sol, fine.t, fine.u, 2, 0.99)
 
 
 def made_of_curved_sets(kind):
@@ -456,23 +484,27 @@ def made_of_curved_sets(kind):
 
 
 @pytest.mark.parametrize(
-    "kind, A",
+    "kind, A, scheme",
     [
-        ("a sum", 1.0),
-        ("a product", 0.0),
-        ("an image", 1e-3),
-        ("a sum of a sum", 0.0),
+        ("a product", 0.0, "implicit-euler"),
+        ("an image", 1e-3, "sdirk2"),
+        ("a sum of a sum", 0.0, "sdirk2"),
+        *(slow("a sum", 1.0, scheme) for scheme in FOR_A_ZERO),
+        slow("a product", 0.0, "sdirk2"),
+        slow("an image", 1e-3, "implicit-euler"),
+        slow("a sum of a sum", 0.0, "implicit-euler"),
     ],
 )
-def test_what_is_made_of_curved_sets_with_scales_of_their_own_has_a_guaranteed_bound(kind, A):
+def test_what_is_made_of_curved_sets_with_scales_of_their_own_has_a_guaranteed_bound(
+    kind, A, scheme
+):
     C = made_of_curved_sets(kind)
     B = np.eye(C.dim) + 0.3 * np.eye(C.dim, k=1) + 0.3 * np.eye(C.dim, k=-1)
     u0 = np.linalg.solve(B, C.at(0.0).project(np.zeros(C.dim)))
     process = so.SweepingProcess(A * np.eye(C.dim), B, C, u0)
-    fine = so.solve(process, t_end=1.0, steps=40, scheme="sdirk2", tol=1e-8)
-    for scheme in ("implicit-euler", "sdirk2"):
-        sol = so.solve(process, t_end=1.0, steps=8, scheme=scheme)
-        close_bound(sol, fine.t, fine.u, 3 if A else 6, 0.95)
+    fine = so.solve(process, t_end=1.0, steps=25, scheme="sdirk2", tol=1e-8)
+    sol = so.solve(process, t_end=1.0, steps=5, scheme=scheme)
+    close_bound(sol, fine.t, fine.u, 3 if A else 6, 0.95)
 
 
 def test_a_scale_of_0_at_a_node_does_not_make_the_bound_of_a_sum_loose():
@@ -481,7 +513,7 @@ def test_a_scale_of_0_at_a_node_does_not_make_the_bound_of_a_sum_loose():
     for end in (0.0, 1e-3):
         closes = so.Moving(COMPOSED["an ellipse"], scale=so.Table([0.0, 1.0], [1.0, end]))
         C = so.Moving(so.Ball([0.0, 0.0], 0.5), load, so.Sine(0.2, 1.0, offset=1.0)) + closes
-        sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=8)
+        sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=4)
         bounds.append(sol.error_bound())
     assert all(bound.guaranteed for bound in bounds)
     assert bounds[0] <= 1.2 * bounds[1]
@@ -621,23 +653,22 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
         run("S01", 20, "midpoint", t_end=1.0, error=1e-18)
     assert caught.value.solution.success
     # rounding of a large u is left
-    pull = so.Separable([(so.Polynomial([2e6, 1.5]), 1.0)])
-    process = so.EvolutionVI(0.5, 2.0, load=pull, dissipation=so.Box(-1, 1), u0=1e6)
+    pull = so.Separable([(so.Polynomial([2e10, 1.5]), 1.0)])
+    process = so.EvolutionVI(0.5, 2.0, load=pull, dissipation=so.Box(-1, 1), u0=1e10)
     with pytest.raises(so.AccuracyError, match="do not help; ask for less, or tighten tol"):
         so.solve(process, t_end=1.0, steps=4, scheme="exact", error=1e-9)
     # given up once the order of the scheme shows that 1e8 steps would be needed, not after minutes
     load = so.Separable([(so.Sine(3.0, np.pi), 1.0)])
     with pytest.raises(so.AccuracyError, match=r"takes more .* 9e\+07 by the order") as caught:
-        so.solve(block(load), t_end=8.0, steps=100, error=1e-14)
-    assert len(caught.value.solution.t) == 801
+        so.solve(block(load), t_end=8.0, steps=25, error=1e-14)
+    assert len(caught.value.solution.t) == 201
 
 
 def test_an_error_that_takes_many_steps_is_warned_of():
     pull = so.Separable([(so.Sine(3.0, period=3.1), 1.0)])
     process = so.SweepingProcess(0.0, 2.0, so.Moving(so.Box(-1, 1), center=pull), 0.0)
-    with pytest.warns(so.SweepoptWarning, match=r"takes about .* steps .*, 2 were given"):
-        sol = so.solve(process, t_end=2.0, steps=2, error=5e-4)
-    assert sol.error_bound() <= 5e-4
+    with pytest.raises(so.SweepoptWarning, match=r"takes about .* steps .*, 2 were given"):
+        so.solve(process, t_end=2.0, steps=2, error=5e-4)
 
 
 @pytest.mark.filterwarnings("ignore:B u0 is not in C")

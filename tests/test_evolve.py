@@ -38,10 +38,10 @@ def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes():
 
 
 def test_tiny_steps_on_a_large_state_lose_no_motion():
-    # without compensation 1e7 + 1e-10 * z would round the motion away
+    # without compensation 1e7 + 7e-10 * z, a third of its last digit, would round the motion away
     process = so.SweepingProcess(1.0, None, so.Point(1.0), 1e7)
     with pytest.warns(so.InitialStateWarning):
-        sol = so.solve(process, t_end=1e-6, steps=10_000)
+        sol = so.solve(process, t_end=1e-6, steps=1_500)
     assert float(sol.u[-1, 0]) - 1e7 == pytest.approx(1e-6, rel=2e-3)
 
 
@@ -117,7 +117,7 @@ def test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets():
     """Adly and Haddad, Lemma 2.3: cut with a ball that is large enough C(t) moves u as before."""
     process = case("P10").process  # C(t) is a half-line
     truncated = so.SweepingProcess(0.5, 1.0, process.C & so.Ball(np.zeros(1), 50), 0)
-    plain, sol = (so.solve(each, t_end=16.0, steps=101) for each in (process, truncated))
+    plain, sol = (so.solve(each, t_end=16.0, steps=25) for each in (process, truncated))
     assert sol.success
     assert sol.u == pytest.approx(plain.u, abs=1e-9)
 
@@ -127,7 +127,7 @@ def test_the_residual_of_the_inequality_vanishes_with_the_step():
     times = np.linspace(0.3, 9.7, 30)
     residuals = [
         np.abs(so.solve(this.process, t_end=10.0, steps=n, scheme="implicit-euler").residual(times))
-        for n in (100, 1600)
+        for n in (50, 800)
     ]
     assert residuals[1].mean() <= residuals[0].mean() / 8
 
@@ -159,7 +159,7 @@ def test_a_state_that_blows_up_is_no_success(S, stiffness):
     load = so.Separable([(so.Sine(1.0, 2.3), stiffness * np.array([30.0, 60.0]))])
     A, B = stiffness * np.eye(2), stiffness * np.diag([100.0, 200.0])
     process = so.SweepingProcess(A, B, so.Moving(stiffness * S, load), [0.0, 0.0])
-    how = {"t_end": 100.0, "steps": 1000, "scheme": "catching-up", "on_unstable": "ignore"}
+    how = {"t_end": 1e4, "steps": 1000, "scheme": "catching-up", "on_unstable": "ignore"}
     sol = so.solve(process, on_failure="stop", **how)
     assert sol.status is so.Status.INEXACT
     assert "grows beyond all numbers" in sol.message
@@ -200,7 +200,7 @@ def test_warnings_name_the_line_of_the_user(how):
 def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times():
     # B = 0 and M = 1: u gains the size of each step
     process = so.SweepingProcess(1.0, 0.0, so.Point(1.0), 0.0)
-    times = 1.7e9 + np.append(0.0, np.cumsum(1.0 + 3e-4 * np.linspace(0, 1, 1000)))
+    times = 1.7e9 + np.append(0.0, np.cumsum(1.0 + 3e-4 * np.linspace(0, 1, 300)))
     with pytest.warns(so.InitialStateWarning):
         sol = so.solve(process, steps=times)
     gained = np.diff(sol.u[:, 0]) / sol.velocity[:, 0]

@@ -1,7 +1,5 @@
 """The exact trajectory: the reference values, and the inclusion itself where nobody has them."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from cases import GRIDS, REFERENCE, block, case, embedded, random_process, slope
@@ -46,12 +44,21 @@ def integral_error(found):
     for phase, end in zip(found.phases, ends, strict=True):
         worst = max(worst, np.abs(phase.state(phase.start) - u).max())
         cuts = phase.start + (end - phase.start) * np.append(0.0, np.geomspace(1e-6, 1.0, 40))
-        for a, b in pairwise(cuts):
-            total = weights @ phase.velocity(0.5 * (a + b) + 0.5 * (b - a) * x) * 0.5 * (b - a)
-            change = phase.state(np.array([a, b]))
-            worst = max(worst, np.abs(change[1] - change[0] - total).max())
+        half = 0.5 * np.diff(cuts)[:, None]
+        at = cuts[:-1, None] + half * (1 + x)
+        u_dot = phase.velocity(at.ravel()).reshape(*at.shape, -1)
+        total = half * np.einsum("j,ijk->ik", weights, u_dot)
+        worst = max(worst, np.abs(np.diff(phase.state(cuts), axis=0) - total).max())
         u = phase.state(end)
     return worst
+
+
+def follows_the_inclusion(process, t_end, steps=60):
+    """The exact trajectory does, at any time, and u is the integral of its derivative."""
+    found = exact(process, t_end, steps)
+    times = np.random.default_rng(0).uniform(found.starts[0], found.end, 20)
+    assert residual(process, found, times) <= 1e-10
+    assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
 
 
 @pytest.mark.parametrize("name", [*POLYHEDRAL, "L13"])
@@ -121,10 +128,7 @@ def test_the_inclusion_holds_at_any_time_and_u_is_the_integral_of_its_derivative
 ):
     for seed in range(16):
         process, grid = random_process(seed, polyhedral=True, whole=whole)
-        found = exact(process, None, steps=grid)
-        times = np.random.default_rng(seed).uniform(grid[0], grid[-1], 20)
-        assert residual(process, found, times) <= 1e-10
-        assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
+        follows_the_inclusion(process, None, steps=grid)
 
 
 # ---- known motions ------------------------------------------------------------------------------
@@ -147,11 +151,11 @@ def test_a_load_that_just_reaches_the_threshold_moves_nothing(load, A):
     assert not found.velocity(np.linspace(0, 12, 301)).any()
 
 
-def test_1001_switches_have_the_period_of_the_load_to_rounding():
+def test_401_switches_have_the_period_of_the_load_to_rounding():
     # the first ones are those of S03, the same block
-    found = exact(block(SLIDING), 250 * np.pi, steps=2)
+    found = exact(block(SLIDING), 100 * np.pi, steps=2)
     assert found.switches[: len(SWITCHES["S03"])] == pytest.approx(SWITCHES["S03"], abs=1e-10)
-    assert len(found.switches) == 1001
+    assert len(found.switches) == 401
     later = found.switches[20:-1].reshape(-1, 4)  # what the start leaves falls by 100 a period
     periods = np.pi * np.arange(len(later))[:, None]
     assert np.abs(later - later[0] - periods).max() <= 1e-12
@@ -247,14 +251,7 @@ def test_composed_sets_and_moving_scales_are_followed(name, scale):
     load = so.Separable([(so.Sine(2.0, 2.3), np.ones(n)), (so.Sine(1.0, 1.7), rng.normal(size=n))])
     C = so.Moving(shape, load, scale)
     process = so.SweepingProcess(X @ X.T + np.eye(n), Y @ Y.T, C, np.zeros(n))
-    sol = so.solve(process, t_end=3.0, steps=60, scheme="exact")
-    assert sol.stats["relative"].max() <= 1e-11
-    errors = []
-    for steps in (60, 120):
-        other = so.solve(process, t_end=3.0, steps=steps, scheme="implicit-euler")
-        errors.append(max(map(process.metric.norm, other.u - sol.exact(other.t))))
-    assert errors[1] <= 0.1 * np.abs(sol.u).max()
-    assert 0.9 <= np.log2(errors[0] / errors[1]) <= 1.1
+    follows_the_inclusion(process, 3.0)
 
 
 @pytest.mark.parametrize("seed", [43, 56, 59])
@@ -271,9 +268,7 @@ def test_rows_that_are_nearly_dependent_are_followed(seed):
     C = so.Moving(so.Polytope(V), so.Separable(load))
     u0 = np.linalg.solve(B, C.at(0.0).project(np.zeros(3)))
     process = so.SweepingProcess(0 * B, B, C, u0)
-    found = exact(process, 3.0, steps=30)
-    other = so.solve(process, t_end=3.0, steps=100)
-    assert np.abs(found(other.t) - other.u).max() <= 0.02 * np.abs(other.u).max()
+    follows_the_inclusion(process, 3.0)
 
 
 @pytest.mark.parametrize("seed", [2, 7, 428, 519, 947])
@@ -297,12 +292,7 @@ def test_rows_through_one_corner_take_over_from_one_another(seed):
     A = np.eye(n) + (L @ L.T if seed % 2 else 0)
     pull = random.uniform(0, 1, m) * (random.random(m) < 0.7)
     process = so.SweepingProcess(A, np.eye(n), so.Polyhedron(G, sides), 1 + G.T @ pull)
-    exact, steps = (
-        so.solve(process, t_end=0.3, steps=k, scheme=scheme)
-        for k, scheme in ((3, "exact"), (300, "sdirk2"))
-    )
-    assert exact.success
-    assert abs(exact.u[-1] - steps.u[-1]).max() < 1e-5
+    follows_the_inclusion(process, 0.3)
 
 
 def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches():
@@ -319,10 +309,10 @@ def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches(
     assert len(sol.exact.switches) >= 4 * len(body.contact.unknown)
     assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-14
     errors = []
-    for n in (100, 200, 400, 800):
+    for n in (50, 100, 200, 400):
         other = so.solve(body.problem, t_end=4.0, steps=n)
         errors.append(np.abs(other.u[:: n // 50] - sol.u).max())
-    assert slope([100, 200, 400, 800], errors) >= 1.7
+    assert slope([50, 100, 200, 400], errors) >= 1.7
     assert errors[-1] <= 8e-6
 
 

@@ -15,7 +15,7 @@ def check(row, over_best=2.0):
     assert row.verdict == "met", row  # no false stick, no ringing
 
 
-SOME = {"sines": [4.0, 1e6, math.inf], "tables": [1e2, math.inf]}
+SOME = {"sines": [4.0, 1e6], "tables": [1e2, math.inf]}
 SEEDS = dict.fromkeys(BODIES, (1, 2, 3, 4, 5)) | {"discs": (1, 2)}
 MANY = [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf]
 
@@ -45,16 +45,16 @@ def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(
         check(row, over_best)
 
 
-@pytest.mark.parametrize("load", LOADS)
-def test_below_two_auto_neither_rings_nor_is_far_from_the_best(load):
-    for row in stiff_bodies([0], ["chain"], [load], (0.01, 1.9), [50], bounds=False):
+@pytest.mark.parametrize("load, stiffness", [("sines", 0.01), ("tables", 1.9)])
+def test_below_two_auto_neither_rings_nor_is_far_from_the_best(load, stiffness):
+    for row in stiff_bodies([0], ["chain"], [load], [stiffness], [50], bounds=False):
         check(row)
 
 
 def test_auto_is_near_the_best_of_three_where_few_switches_of_a_soft_mass_count():
-    # of 150 sines and 150 tables sdirk2 was above twice the best in 16
-    for load in LOADS:
-        for seed in range(20):
+    # of 150 sines and 150 tables sdirk2 was above twice the best in 16, 29, 16, 24, 27, 32 of them
+    for load, seeds in (("sines", (0, 1, 29)), ("tables", (0, 16, 24, 27, 32))):
+        for seed in seeds:
             process, how = make("one mass", load, seed, 1e-2, 30), {"t_end": 1.0, "steps": 30}
             exact = so.solve(process, **how, scheme="exact").u
             auto, *best = (
@@ -64,8 +64,7 @@ def test_auto_is_near_the_best_of_three_where_few_switches_of_a_soft_mass_count(
             assert auto <= 2 * min(best)
 
 
-@pytest.mark.parametrize("seed", [1, 13])
-@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("load, seed", [("sines", 1), ("tables", 13)])
 def test_auto_is_near_the_best_of_three_in_the_mean_of_neighbouring_grids(load, seed):
     # on single grids errors of a soft mass cancel by chance: up to 3.2 times the best
     process, errors = make("one mass", load, seed, 1e-2, 30), []
@@ -113,7 +112,7 @@ def test_auto_is_of_order_two_where_breakpoints_lie_in_steps(viscosity):
     turning = so.Table([0.0, 2.13, 6.31, 10.0], [0.0, 4.0, -4.0, 4.0])
     load = so.Separable([(turning, 1.0), (so.Sine(2.0, 3.3), 1.0)])
     process = block(load, viscosity, 1.0)
-    grids, errors = (50, 100, 200, 400, 800), []
+    grids, errors = (50, 100, 200, 400), []
     for steps in grids:
         how = {"t_end": 10.0, "steps": steps}
         sol = so.solve(process, **how, tol=1e-9)
@@ -133,11 +132,11 @@ def test_which_steps_are_stiff_is_asked_of_each():
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-@pytest.mark.parametrize("name", ["S02", "V05", "P09"])
+@pytest.mark.parametrize("name", ["S02", "V05", slow("P09")])
 def test_sdirk32_is_of_order_two(name):
     this = case(name)
     how = {"t_end": this.t_end, "scheme": "sdirk32", "tol": 1e-9}
-    grids = (101, 211, 503, 1009, 2003)
+    grids = (101, 211, 503, 1009, 2003)[: 5 if name == "P09" else 4]
     errors = [this.error(so.solve(this.process, steps=n, **how)) for n in grids]
     order = slope(grids, errors)
     assert order >= 1.9

@@ -18,6 +18,15 @@ from sweepopt.study.hard.trajectories import (
 SHORT = sorted({*TRAJECTORIES} - {"thousand_cycles", "chatter_stiff"})  # which -m slow has
 
 
+@pytest.fixture(autouse=True)
+def _a_few_periods(request, monkeypatch):
+    """Of each trajectory; those that are marked slow have all of it."""
+    if not request.node.get_closest_marker("slow"):
+        for name, keys in TRAJECTORIES.items():
+            steps = max(0.4 * keys["steps"], 30)
+            monkeypatch.setitem(TRAJECTORIES, name, keys | {"steps": steps})
+
+
 def runs(name, seed, schemes):
     return hard_trajectories([seed], [name], schemes)
 
@@ -57,8 +66,8 @@ def test_the_exact_trajectory_satisfies_the_inclusion_and_is_what_runs_are_judge
 @pytest.mark.parametrize("turn, name", [*enumerate(SHORT)])
 def test_every_scheme_has_the_error_that_it_should_have(turn, name, monkeypatch):
     monkeypatch.setattr(trajectories, "BOUNDED", 0)  # bounds take ten times as long as all the rest
-    named = [*SCHEMES]  # "auto" and one of them in turn here, all of them with -m slow
-    checked(name, 0, ("auto", named[turn % len(named)]))
+    named = [*SCHEMES]  # one of them in turn here, midpoint of "many" too, all of them with -m slow
+    checked(name, 0, ("auto", named[turn % len(named)], *["midpoint"] * (name == "many")))
 
 
 @pytest.mark.slow
@@ -71,7 +80,7 @@ def test_every_scheme_has_the_error_that_it_should_have_for_every_seed(name, see
 def test_midpoint_rests_falsely_on_stiff_bodies_and_warns_from_ten_thirds_on():
     for stiffness, warned in ((3.3, False), (3.4, True), (1e3, True)):
         with pytest.MonkeyPatch.context() as patch:
-            changed = TRAJECTORIES["ordinary"] | {"mu_Lam": stiffness}
+            changed = TRAJECTORIES["ordinary"] | {"mu_Lam": stiffness, "steps": 150}
             patch.setitem(TRAJECTORIES, "ordinary", changed)
             midpoint, auto = runs("ordinary", 0, ("midpoint", "auto"))
         assert midpoint.verdict == ("warned" if warned else "met")

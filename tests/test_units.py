@@ -31,7 +31,7 @@ def run(C, seed, F=1.0, L=1.0, T=1.0, **how):
     f = 3 * random.normal(size=C.dim)
     C = so.Moving(C, center=so.Separable([(so.Sine(1.0, 5.0 * T), F * f)]))
     process = so.SweepingProcess(F * T / L * A, F / L * B, C, np.zeros(f.size))
-    how = {"steps": 4, "on_unstable": "ignore", **how}
+    how = {"steps": 2, "on_unstable": "ignore", **how}
     return so.solve(process, t_end=2 * T, tol=1e-9, **how)
 
 
@@ -156,7 +156,7 @@ CONTACT = np.eye(5)[:, [1, 2, 4]]
     ],
 )
 def test_constraints_may_be_stated_in_any_units(name, path):
-    how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto", "steps": 2}
+    how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto", "steps": 1}
     found = []
     for F in (1.0, 2.0**40 if path == "full" else 2.0**-40):
         C = so.Constraints(3, lambda w, F=F: STATED[name](w, F))
