@@ -3,11 +3,11 @@
 Bodies that are coupled only by rotation are solved exactly along their axes, by scheme "exact".
 
 What is allowed: a scheme of order p has local errors like the differences of order p + 1 of the
-exact states at nodes and middles of steps, also where bodies stop and start. Its error is at most
-twice their sum (once is not enough for catching-up: C(t) of one end of the step, u of the other),
-as no step moves two states apart, and those that slip approach each other by the stability
-function. A scheme that warns is held to p = 0, the way that the bodies go. What a run adds is
-allowed in the size of its certificates and of rounding.
+exact states at nodes and middles of steps, also where bodies stop and start. Catching-up has C(t)
+at the end of a step and u at its begin, which adds step * Lam times its motion. An error is at
+most their sum, as no step moves two states apart, and those that slip approach each other by the
+stability function. A scheme that warns is held to p = 0, the way that the bodies go. What a run
+adds is allowed in the size of its certificates and of rounding.
 """
 
 from collections.abc import Iterator, Sequence
@@ -228,7 +228,7 @@ def _judge(case: Case, solution: Solution, warned: bool) -> Judgement:
     allowed = slack
     if not scheme.exact:
         order = 0 if warned else int(scheme.order)
-        allowed += 2 * _sum_of_local_errors(case, scheme, order)
+        allowed += _sum_of_local_errors(case, scheme, order)
     error = case.norm(u - exact[::2])
     between = max(error, case.norm(0.5 * (u[1:] + u[:-1]) - exact[1::2]))
     bound = float(guaranteed_bound(solution)) if len(z) <= BOUNDED else nan
@@ -259,10 +259,13 @@ def _sum_of_local_errors(case: Case, scheme: Scheme, order: int) -> float:
     """The largest of all nodes; those of earlier steps fade while a body slips clearly."""
     exact, local = case.exact, np.zeros(case.exact[1:].shape)
     local[order:] = abs(np.diff(exact, order + 1, axis=0))
-    rates = abs(scheme.amplification(-np.minimum(case.stiffness, HUGE)))
+    local, stiffness = local[::2] + local[1::2], np.minimum(case.stiffness, HUGE)
+    if scheme.explicit:
+        local += stiffness * abs(np.diff(exact[::2], axis=0))
+    rates = abs(scheme.amplification(-stiffness))
     sums = np.zeros(exact[::2].shape)
     slips = np.pad(_slips_clearly(exact), ((1, 1), (0, 0)))
-    for i, step in enumerate(local[::2] + local[1::2]):
+    for i, step in enumerate(local):
         sums[i + 1] = np.where(slips[i], rates, 1.0) * sums[i] + step
     return case.norm(sums)
 
