@@ -339,8 +339,8 @@ def _with_bound(
         steps, why = factor * len(times), "by the order of the scheme"
         if last is not None and not bound < 0.9 * last:
             relative = EPS + float(solution.stats["relative"].max(initial=0.0))
-            if bound < len(times) * relative * max(map(process.metric.norm, solution.u)):
-                # what each step rounds of the state
+            rounding = len(times) * relative * max(map(process.metric.norm, solution.u))
+            if not rounding <= bound < math.inf:  # what each step rounds of the state, or no bound
                 reason = "finer grids do not help; ask for less, or tighten tol"
                 break
             resolved = process.Lam * (times[-1] - times[0]) if process.coercive else 0.0

@@ -14,7 +14,7 @@ from cases import GRIDS, SETS, block, case, close_bound, random_process, slope, 
 import sweepopt as so
 from sweepopt.integrate import Velocities
 from sweepopt.problem import Norms, motion
-from sweepopt.results.error_bound import _more, _refined, companion
+from sweepopt.results.error_bound import ErrorBound, _more, _refined, companion
 from sweepopt.study.problems import PROBLEMS
 
 CURVED = ("V05", "B14", "M17")
@@ -390,6 +390,15 @@ def test_moved_rows_that_are_bounds_of_many_single_unknowns_have_the_bound_of_a_
     assert bounds[0] == pytest.approx(float(bounds[1]), rel=0.05)
 
 
+def test_a_half_line_that_closes_to_a_ray_has_no_infinite_bound():
+    # its rows have one of zeros, 0 <= scale(t), which the coefficients of the scale miss
+    scale = so.Sine(0.5, period=1.0, offset=0.5)
+    C = so.Moving(so.HalfSpace(1.0, 1.0), so.Sine(2.0, 1.3), scale) & so.Box(-np.inf, 9.0)
+    sol = so.solve(so.SweepingProcess(1.0, 1.0, C, 0.0), t_end=1.0, steps=10)
+    with pytest.warns(so.BoundWarning, match="nearly empty"):
+        assert sol.error_bound() < 1.0
+
+
 def test_the_bound_of_sets_without_proofs_is_not_guaranteed():
     load = so.Separable([(so.Sine(2.0, 2.0), [1.0, 0.5])])
     disc = so.Constraints(2, lambda w: [cp.norm(w - np.array([3.0, 0.0])) <= 1])
@@ -662,6 +671,13 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
     with pytest.raises(so.AccuracyError, match=r"takes more .* 9e\+07 by the order") as caught:
         so.solve(block(load), t_end=8.0, steps=25, error=1e-14)
     assert len(caught.value.solution.t) == 201
+
+
+def test_an_infinite_bound_ends_the_search_for_a_grid(monkeypatch):
+    monkeypatch.setattr(so.Solution, "_bound", ErrorBound.make("", *np.full((3, 1), np.inf), 0.0))
+    with pytest.raises(so.AccuracyError, match=r"bound is inf with .* do not help") as caught:
+        run("S01", 20, "midpoint", t_end=1.0, error=1e-3)
+    assert len(caught.value.solution.t) <= 8 * 20 + 1
 
 
 def test_an_error_that_takes_many_steps_is_warned_of():

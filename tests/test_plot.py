@@ -436,6 +436,7 @@ def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "end, unit, seconds",
     [
+        (5e-4, " \N{MICRO SIGN}s", 1e-6),
         (0.5, " ms", 1e-3),
         (10.0, " s", 1.0),
         (7200.0, " h", 3600.0),

@@ -339,6 +339,7 @@ def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdown
     assert table.run[dead].str.startswith("M16 midpoint auto 16").tolist() == [True]
     assert table.message[dead].str.contains("terminated abruptly").all()
     whole, rest = read_table(SMALL, small), table[~dead]
+    assert len(rest) == 1
     same(rest.reset_index(drop=True), whole[whole.run.isin(rest.run)].reset_index(drop=True))
 
 

@@ -50,7 +50,8 @@ OF_WHOLE_BODIES = {"force": "N", "energy": "J", "certificate": "W^0.5", "viabili
 """Those of solids and bars, whose loads are not per length."""
 
 
-TIMES = {" yr": 365.25 * 86400.0, " d": 86400.0, " h": 3600.0, " s": 1.0, " ms": 1e-3}
+TIMES = {" yr": 365.25 * 86400.0, " d": 86400.0, " h": 3600.0}
+TIMES |= {" s": 1.0, " ms": 1e-3, " \N{MICRO SIGN}s": 1e-6}
 """Units of time in words and pictures, in seconds."""
 
 

@@ -464,7 +464,8 @@ class Bounds(NamedTuple):
         """The bounds of w for an h, or for each of its rows; crossed if a zero row has no point."""
         least = self._least(h[..., self.i] / np.abs(self.factor))
         lower, upper = -least[..., ::2], least[..., 1::2]
-        upper[(np.delete(h, self.i, axis=-1) < 0).any(axis=-1)] = -np.inf
+        empty = (np.delete(h, self.i, axis=-1) < 0).any(axis=-1)
+        lower[empty], upper[empty] = np.inf, -np.inf
         return lower, upper
 
     def multipliers(self, rows: Array, slack: Array) -> Array:
