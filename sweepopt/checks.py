@@ -72,8 +72,9 @@ def with_checks(function: Any, owner: Any = None) -> Any:
                 call.bind(*args, **named)
             except TypeError as error:
                 all_names = ", ".join(known)
-                by_name = ", ".join(known if "missing" in str(error) else only) or all_names
-                remedy = f"give by name {by_name}" if known else "it takes none"
+                remedy = f"give by name {all_names}" if known else "it takes none"
+                if only and "missing" not in str(error):
+                    remedy = f"give by name, as {only[0]}=...: {', '.join(only)}"
                 fault = f"{name}: {error}; {remedy}"
                 for unknown in (key for key in named if key not in known):
                     hint = meant.get(unknown) or suggestion(unknown, known)

@@ -296,8 +296,11 @@ def _announce(scene: Scene, plan: Plan) -> None:
     """Print what will be simulated and what will not."""
     if scene.title:
         print(scene.title)
-    seconds = " s" if scene.units == "SI" else ""
-    time = "time", f"0 to {scene.t_end:g}{seconds} in {scene.steps} steps"
+    from sweepopt.fem.output import unit_of_time
+
+    assert scene.t_end is not None  # a file has it
+    unit, seconds = unit_of_time(scene, scene.t_end)
+    time = "time", f"0 to {scene.t_end / seconds:.5g}{unit} in {scene.steps} steps"
     print(as_lines([*(("changed", change) for change in scene.changes), time]))
     print(replace(plan, left_out=(*scene.left_out, *plan.left_out)), flush=True)
 

@@ -329,9 +329,8 @@ def _with_bound(
             return replace(solution, status=Status.INTERRUPTED)
         if not bound.guaranteed:
             raise InputError(
-                "error= needs a guaranteed bound, but only samples are known of this C(t): give "
-                "the load as so.Separable of tables and waveforms (offsets h(t) with one entry a "
-                "row of G), or look at sol.error_bound(variation=v)"
+                f"error= needs a guaranteed bound, without variation=: {bound.reason}; or take "
+                "sol.error_bound() of a run without error="
             )
         if bound <= error:
             return solution

@@ -55,6 +55,12 @@ TIMES |= {" s": 1.0, " ms": 1e-3, " \N{MICRO SIGN}s": 1e-6}
 """Units of time in words and pictures, in seconds."""
 
 
+def unit_of_time(scene: Scene, end: float) -> tuple[str, float]:
+    """The longest unit of time that is no longer than a run of a scene, and its seconds."""
+    fitting = (one for one in TIMES.items() if scene.units == "SI" and one[1] <= end)
+    return next(fitting, (" s" if scene.units == "SI" else "", 1.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
     """A run of a scene and what its files and pictures have in common.
@@ -118,14 +124,13 @@ class Report:
 
     @property
     def clock(self) -> tuple[str, float]:
-        """The longest unit of time that is no longer than the run, and its seconds."""
-        end, unit = self.solution.t[-1], self.suffix("time")
-        return next((one for one in TIMES.items() if unit and one[1] <= end), (unit, 1.0))
+        """The unit of the times of the run, and its seconds."""
+        return unit_of_time(self.scene, self.solution.t[-1])
 
     def moment(self, t: float) -> str:
         """A time in words."""
         unit, seconds = self.clock
-        return f"t = {t / seconds:.4g}{unit}"
+        return f"t = {t / seconds:.5g}{unit}"
 
 
 def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:

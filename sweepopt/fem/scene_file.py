@@ -292,7 +292,9 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
         path = f"effects.{name}"
         if name not in EFFECTS:
             own = "; an effect of your own must be in sweepopt.fem.EFFECTS first"
-            hint = MEANT.get(name) or suggestion(name, EFFECTS) or own
+            begin = next((one for one in EFFECTS if name.startswith(f"{one}_")), "")
+            more = f"; write [[effects.{begin}]] above each of several" if begin else ""
+            hint = MEANT.get(name) or more or suggestion(name, EFFECTS) or own
             raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}{hint}")
         kind = EFFECTS[name]
         if not callable(kind) or (table and not signature(kind).parameters):
@@ -324,7 +326,7 @@ def _history(table: Any, path: str, folder: Path) -> Any:
     given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)
     raise InputError(
         f'{path}: must have one of csv, waveform or table, such as {{ waveform = "sine", amplitude '
-        f"= 1.0, period = 4.0 }}; got {given}"
+        f"= 1.0, period = 4.0 }} or {{ table = {{ t = [0, 1], values = [0, 2] }} }}; got {given}"
     )
 
 
