@@ -343,8 +343,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, Similar):
         moved = C.factor * _image(M, C.parts[0])
         return moved if C.v is None else moved + M @ C.v
-    several = type(C) is Balls or (type(C) is Aligned and C.unknowns is None)
-    if several and not sp.issparse(M):
+    if not sp.issparse(M) and (type(C) is Balls or (type(C) is Aligned and C.unknowns is None)):
         parts = C.factors() if isinstance(C, Balls) else C.parts
         if 1 < len(parts) <= DENSE // M.shape[0]:
             # one by one: the image of a ball is exact, with columns of any sizes
