@@ -16,6 +16,7 @@ import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -406,6 +407,7 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
 """Their versions may change the last bits of a result, and its time."""
+_version = cache(metadata.version)  # it reads a file of each package
 
 
 def versions_of(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
@@ -413,7 +415,7 @@ def versions_of(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
     versions = {"python": platform.python_version()}
     for name in packages:
         with suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
+            versions[name] = _version(name)
     # a clone on the path has no metadata
     return {**versions, "sweepopt": sys.modules["sweepopt"].__version__}
 

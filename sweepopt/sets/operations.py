@@ -343,9 +343,9 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, Similar):
         moved = C.factor * _image(M, C.parts[0])
         return moved if C.v is None else moved + M @ C.v
-    if type(C) is Balls or (type(C) is Aligned and C.unknowns is None):
+    if not sp.issparse(M) and (type(C) is Balls or (type(C) is Aligned and C.unknowns is None)):
         parts = C.factors() if isinstance(C, Balls) else C.parts
-        if 1 < len(parts) <= DENSE // M.shape[0] and not sp.issparse(M):
+        if 1 < len(parts) <= DENSE // M.shape[0]:
             # one by one: the image of a ball is exact, with columns of any sizes
             each = zip(parts, places(parts), strict=True)
             return reduce(add, (_image(M[:, at], S) for S, at in each))
