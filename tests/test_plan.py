@@ -115,7 +115,7 @@ def test_diagonal_processes_are_solved_by_a_formula_that_agrees_with_the_solvers
     no_solver(monkeypatch)
     sol = so.solve(this, t_end=4.0, steps=80)
     assert sol.stats["relative"].max() <= 1e-14
-    assert "formula" in str(sol.plan)
+    assert "closed form" in str(sol.plan)
     carried = (sol.stats["certificate"] + solved.stats["certificate"]).sum() * 0.05
     assert max(map(this.metric.norm, sol.u - solved.u)) <= 5 * carried + 1e-12
 
