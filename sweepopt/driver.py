@@ -56,7 +56,7 @@ from sweepopt.integrate import (
 )
 from sweepopt.linalg import EPS
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.results import NetCDFSink, Solution
+from sweepopt.results import ErrorBound, NetCDFSink, Solution
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
@@ -300,16 +300,14 @@ def _refine(
     error = number("error", error, minimum=0.0, strict=True)
     options, run = replace(options, t_end=None), _warning_once(_run)
     sol = _with_bound(
-        process, lambda times: run(process, replace(options, save=None, steps=times)), times, error
+        lambda times: run(process, replace(options, save=None, steps=times)), times, error
     )
     if not sol.success or (options.save is None and callback is None and not progress):
         return sol
     return run(process, replace(options, steps=sol.t), callback, progress)
 
 
-def _with_bound(
-    process: SweepingProcess, run: Callable[[Array], Solution], times: Array, error: float
-) -> Solution:
+def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) -> Solution:
     """Run on finer and finer grids, each of which contains the one before, until the bound is met.
 
     Ctrl-C during a run returns its steps, Ctrl-C during a bound the run that it is of.
@@ -322,26 +320,20 @@ def _with_bound(
             solution = run(times)
             if not solution.success:
                 return solution
-            bound = solution._bound  # without the warning
+            bound = _guaranteed_bound(solution)
         except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
             if solution is None:
                 raise
             return replace(solution, status=Status.INTERRUPTED)
-        if not bound.guaranteed:
-            raise InputError(
-                f"error= needs a guaranteed bound, without variation=: {bound.reason}; or take "
-                "sol.error_bound() of a run without error="
-            )
         if bound <= error:
             return solution
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
         steps, why = factor * len(times), "by the order of the scheme"
         if last is not None and not bound < 0.9 * last:
-            relative = EPS + float(solution.stats["relative"].max(initial=0.0))
-            rounding = len(times) * relative * max(map(process.metric.norm, solution.u))
-            if not rounding <= bound < math.inf:  # what each step rounds of the state, or no bound
+            if not _rounding(solution) <= bound < math.inf:
                 reason = "finer grids do not help; ask for less, or tighten tol"
                 break
+            process = solution.process
             resolved = process.Lam * (times[-1] - times[0]) if process.coercive else 0.0
             if resolved > steps:  # errors that fade within a step show no order
                 steps, why = resolved, "to resolve 1 / Lam (so.Adaptive has short ones only there)"
@@ -367,6 +359,23 @@ def _with_bound(
         f"{len(solution.t) - 1} steps, and {reason}",
         solution,
     )
+
+
+def _guaranteed_bound(solution: Solution) -> ErrorBound:
+    """The bound of a run; refused if it is a sampled one."""
+    bound = solution._bound  # without the warning
+    if not bound.guaranteed:
+        raise InputError(
+            f"error= needs a guaranteed bound, without variation=: {bound.reason}; or take "
+            "sol.error_bound() of a run without error="
+        )
+    return bound
+
+
+def _rounding(solution: Solution) -> float:
+    """What the steps of a run round of its states, in the norm of its bound."""
+    relative = EPS + float(solution.stats["relative"].max(initial=0.0))
+    return len(solution.t) * relative * max(map(solution.process.metric.norm, solution.u))
 
 
 def _adapt(
