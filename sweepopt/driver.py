@@ -336,7 +336,7 @@ def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) ->
             process = solution.process
             resolved = process.Lam * (times[-1] - times[0]) if process.coercive else 0.0
             if resolved > steps:  # errors that fade within a step show no order
-                steps, why = resolved, "to resolve 1 / Lam (so.Adaptive has short ones only there)"
+                steps, why = resolved, "for step * Lam < 1 (so.Adaptive: only where u changes fast)"
         if last is not None and 1000 * first < steps <= STEPS and not long:
             long = True  # without a word such a run seems to hang
             warn(

@@ -83,11 +83,11 @@ times at 0.5 and 9 times at 0.002."""
 WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 5, 2.4)}
 """Steps that all second runs together may take, by their scheme, for each program of the run: for
 up to SMALL unknowns and exact projections; for other bodies; and for those of more than LARGE
-unknowns. Of more than SMALL unknowns a step at rest is none: it takes a fiftieth of the time of
-another, and where 8 of 20 steps of boxes in 200 to 4,000 unknowns rest, bounds took 15 to 33 times
-as long as the run with them, 9 to 11 without, and were 1.01 to 1.1 times as loose. Beside those of
-the run a step of the second run is dearer from case to case: with these numbers bounds take at most
-10 to 12 times as long as the run."""
+unknowns. For more than SMALL unknowns steps at rest do not count, as one takes a fiftieth of the
+time of another: on boxes in 200 to 4,000 unknowns, with 8 of 20 steps at rest, bounds took 15 to 33
+times as long as the run when they counted, 9 to 11 times when not, and were then 1.01 to 1.1 times
+as loose. Beside those of the run a step of the second run is dearer from case to case: with these
+numbers bounds take at most 10 to 12 times as long as the run."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With the work of small bodies bounds took 13 times as long as the run for 120 unknowns,
 11 for 72, 10 for 7 (the work of others: 9, 8); with that of others 47 times for 1,056."""

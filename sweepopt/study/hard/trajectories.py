@@ -4,10 +4,10 @@ Bodies that are coupled only by rotation are solved exactly along their axes, by
 
 What is allowed: a scheme of order p has local errors like the differences of order p + 1 of the
 exact states at nodes and middles of steps, also where bodies stop and start. Catching-up has C(t)
-at the end of a step and u at its begin, which adds step * Lam times its motion. An error is at
-most their sum, as no step moves two states apart, and those that slip approach each other by the
-stability function. A scheme that warns is held to p = 0, the way that the bodies go. What a run
-adds is allowed in the size of its certificates and of rounding.
+at the end of a step and u at its start, which adds step * Lam times the motion in the step. The
+error of a run is at most the sum of its local errors, as no step moves two states apart, and those
+that slip approach each other by the stability function. A scheme that warns is held to p = 0, the
+way that the bodies go. What a run adds is allowed in the size of its certificates and of rounding.
 """
 
 from collections.abc import Iterator, Sequence
