@@ -25,11 +25,9 @@ from sweepopt.errors import (
     StepError,
     SweepoptWarning,
     shown,
-    warn,
 )
 from sweepopt.integrate import (
     MEMORY,
-    STEPS,
     Adaptive,
     Callback,
     Checkpoint,
@@ -37,6 +35,7 @@ from sweepopt.integrate import (
     Grid,
     Run,
     SaveFunction,
+    Scheme,
     SolveOptions,
     States,
     StepInfo,
@@ -44,7 +43,6 @@ from sweepopt.integrate import (
     adapt,
     check_stability,
     checkpoint_writer,
-    divided,
     first_grid,
     integrate,
     newest,
@@ -54,7 +52,6 @@ from sweepopt.integrate import (
     saving,
     time_grid,
 )
-from sweepopt.linalg import EPS
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.results import ErrorBound, NetCDFSink, Solution
 from sweepopt.sets import ConvexSet
@@ -118,9 +115,10 @@ def solve(
         is tried with other solvers, then in 2 to 16 equal parts, then handled as on_failure says.
         The solver of a step in parts is "osqp/4" in `stats`, its certificate the worst of theirs.
     error : float, optional
-        Refine the steps until `Solution.error_bound` is at most this; needs a load as data. For the
-        callback and `save` the last, finest run is repeated; where a run stops early (on_failure,
-        Ctrl-C) the callback is not called, and no file is written.
+        Refine the steps, as Adaptive does, until `Solution.error_bound` is at most this; needs a
+        load as data. The last run contains the times that `steps` gives, and is repeated for the
+        callback and `save`; where a run stops early (on_failure, Ctrl-C) the callback is not
+        called, and no file is written.
     path : {"auto", "proportional", "eliminated", "return mapping", "cones", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
@@ -293,72 +291,46 @@ def _refine(
     callback: Callback | None,
     progress: bool,
 ) -> Solution:
-    """The run whose guaranteed error bound is at most `error`."""
+    """The run whose guaranteed error bound is at most `error`.
+
+    Its steps are adaptive, within those that are given, and their tolerance is reduced until the
+    bound is met. Ctrl-C during a bound returns the run that it is of.
+    """
     if isinstance(options.steps, Adaptive):
         raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
     times, _ = time_grid(options.t_end, options.steps)
     error = number("error", error, minimum=0.0, strict=True)
-    options, run = replace(options, t_end=None), _warning_once(_run)
-    sol = _with_bound(
-        lambda times: run(process, replace(options, save=None, steps=times)), times, error
-    )
-    if not sol.success or (options.save is None and callback is None and not progress):
-        return sol
-    return run(process, replace(options, steps=sol.t), callback, progress)
-
-
-def _with_bound(run: Callable[[Array], Solution], times: Array, error: float) -> Solution:
-    """Run on finer and finer grids, each of which contains the one before, until the bound is met.
-
-    Ctrl-C during a run returns its steps, Ctrl-C during a bound the run that it is of.
-    """
-    last: float | None = None
-    solution: Any = None
-    first, long, reason = len(times), False, ""
-    while len(times) <= STEPS:
+    saving(options.save, times, process.dim, options.memory)
+    scheme, run = options.tableau(process), _warning_once(_run)
+    if scheme.exact:
+        raise InputError(
+            "error=: scheme 'exact' has no error in time; leave error out (Solution.exact is u at "
+            "any time, between the nodes too)"
+        )
+    times = first_grid(Adaptive(error), process, times, scheme)
+    asked = _as_adaptive(options, scheme)
+    runs = _all_states(run, process, asked, progress)
+    sol, tol, last, cause = runs(times, options.tol), error, math.inf, ""
+    while sol.success:
         try:
-            solution = run(times)
-            if not solution.success:
-                return solution
-            bound = _guaranteed_bound(solution)
-        except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
-            if solution is None:
-                raise
-            return replace(solution, status=Status.INTERRUPTED)
+            bound = _guaranteed_bound(sol)
+        except KeyboardInterrupt:
+            return replace(sol, status=Status.INTERRUPTED)
         if bound <= error:
-            return solution
-        factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
-        steps, why = factor * len(times), "by the order of the scheme"
-        if last is not None and not bound < 0.9 * last:
-            if not _rounding(solution) <= bound < math.inf:
-                reason = "finer grids do not help; ask for less, or tighten tol"
-                break
-            process = solution.process
-            resolved = process.Lam * (times[-1] - times[0]) if process.coercive else 0.0
-            if resolved > steps:  # errors that fade within a step show no order
-                steps, why = resolved, "for step * Lam < 1 (so.Adaptive: only where u changes fast)"
-        if last is not None and 1000 * first < steps <= STEPS and not long:
-            long = True  # without a word such a run seems to hang
-            warn(
-                f"error = {error:g} takes about {steps:.0e} steps {why}, {first - 1} were given; "
-                "with progress=True the last run shows them",
-                SweepoptWarning,
+            return _with_all(run, process, asked, sol, callback, progress)
+        if not cause and not bound < 0.9 * last:
+            cause = "shorter steps do not help; ask for less"
+        if cause:
+            raise AccuracyError(
+                f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
+                f"{len(sol.t) - 1} steps: {cause}",
+                sol,
             )
-        last = float(bound)
-        # a finer grid is surer of its order
-        most = STEPS * max(1.0, 100 * first / len(times))
-        if math.isfinite(bound) and steps > most:
-            break
-        times = divided(times, max(math.ceil(min(factor, 8)), 2))  # the factor is an estimate
-    reason = reason or (
-        f"it takes more than {STEPS:g} steps, about {steps:.0e} {why}; ask for less, or take a "
-        'scheme of second order, or "exact" where C(t) has flat faces and the load is data'
-    )
-    raise AccuracyError(
-        f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
-        f"{len(solution.t) - 1} steps, and {reason}",
-        solution,
-    )
+        if sol.passes:
+            tol *= min(0.5, 0.8 * error / bound)
+        sol, cause = adapt(runs, process, Adaptive(tol), sol.t, bound)
+        last = bound
+    return sol
 
 
 def _guaranteed_bound(solution: Solution) -> ErrorBound:
@@ -372,40 +344,52 @@ def _guaranteed_bound(solution: Solution) -> ErrorBound:
     return bound
 
 
-def _rounding(solution: Solution) -> float:
-    """What the steps of a run round of its states, in the norm of its bound."""
-    relative = EPS + float(solution.stats["relative"].max(initial=0.0))
-    return len(solution.t) * relative * max(map(solution.process.metric.norm, solution.u))
-
-
 def _adapt(
     process: SweepingProcess, options: SolveOptions, callback: Callback | None, progress: bool
 ) -> Solution:
-    """Runs on better and better grids, until the estimated error of one is at most the tolerance.
-
-    Those that are not asked for all their states are made once more, to keep what is.
-    """
-    scheme = options.tableau(process)
-    times = first_grid(options.steps, process, options.t_end, scheme, options.save)
+    """Runs on better and better grids, until the estimated error is at most the tolerance."""
+    scheme, run = options.tableau(process), _warning_once(_run)
+    times = first_grid(options.steps, process, options.times_to_meet(), scheme)
     saving(options.save, times, process.dim, options.memory)
-    # errors are estimated, so no scheme is warned of
-    options = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
-    run = _warning_once(_run)
-
-    def run_within(times: Array, tol: float) -> Solution:
-        one = replace(options, steps=times, save=None, tol=min(tol, options.tol))
-        return run(process, one, progress=progress)
-
-    sol, cause = adapt(run_within, process, options.steps, times)
-    if sol.success and not (options.save is None and callback is None):
-        asked = replace(options, steps=sol.t, tol=sol.plan.tol)
-        sol = replace(run(process, asked, callback, progress), passes=sol.passes)
+    asked = _as_adaptive(options, scheme)
+    sol, cause = adapt(_all_states(run, process, asked, progress), process, options.steps, times)
+    sol = _with_all(run, process, asked, sol, callback, progress)
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
         relative = float(sol.stats["relative"].max(initial=0.0))
         raise StepError(cause, float(sol.t[-1]), len(sol.stats), sol.u[-1], relative)
     return replace(sol, status=Status.INEXACT, cause=cause)
+
+
+def _as_adaptive(options: SolveOptions, scheme: Scheme) -> SolveOptions:
+    """The options of runs whose errors are estimated: of no scheme is warned."""
+    return replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
+
+
+def _all_states(
+    run: Callable[..., Solution], process: SweepingProcess, options: SolveOptions, progress: bool
+) -> Callable[[Array, float], Solution]:
+    """A run as a function of its times and tol, which keeps all of its states."""
+    options = replace(options, save=None)
+    return lambda times, tol: run(
+        process, replace(options, steps=times, tol=min(tol, options.tol)), progress=progress
+    )
+
+
+def _with_all(
+    run: Callable[..., Solution],
+    process: SweepingProcess,
+    options: SolveOptions,
+    sol: Solution,
+    callback: Callback | None,
+    progress: bool,
+) -> Solution:
+    """The run, made once more if there is a callback, or something else is to be kept."""
+    if not sol.success or (options.save is None and callback is None):
+        return sol
+    again = replace(options, steps=sol.t, tol=sol.plan.tol)
+    return replace(run(process, again, callback, progress), passes=sol.passes)
 
 
 def _warning_once(run: Callable[..., Solution]) -> Callable[..., Solution]:

@@ -1,7 +1,7 @@
 """Time stepping: schemes, the loop over time, what is kept of it, adaptive steps (MATH 3)."""
 
 from sweepopt.checks import MEMORY
-from sweepopt.integrate.adaptive import STEPS, adapt, first_grid
+from sweepopt.integrate.adaptive import adapt, first_grid
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     CheckpointWriter,
@@ -21,7 +21,6 @@ from sweepopt.integrate.field import (
 )
 from sweepopt.integrate.grid import (
     check_stability,
-    divided,
     time_grid,
 )
 from sweepopt.integrate.loop import (

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, Array, axes, number, vector
+from sweepopt.checks import TIME_SLACK, Array
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.integrate.grid import breakpoints_to_meet
 from sweepopt.integrate.options import Adaptive
@@ -45,19 +45,15 @@ Runs = Callable[[Array, float], Any]
 """Times and a bound of the programs' tol -> Solution."""
 
 
-def first_grid(
-    steps: Adaptive, process: SweepingProcess, t_end: Any, scheme: Scheme, save: Any
-) -> Array:
-    """The coarsest grid of a run.
+def first_grid(steps: Adaptive, process: SweepingProcess, times: Array, scheme: Scheme) -> Array:
+    """The coarsest grid of a run: it contains these times, the first and the last are its ends.
 
-    It contains breakpoints, of dense tables only the points where they turn, and the times that are
-    to be saved; the segments between them are in equal steps. Where the load is a function these
-    are cut in the golden ratio, the longer part first and last by turns: stages at the same phase
-    of a load in all steps would see nothing move.
+    It contains breakpoints, of dense tables only the points where they turn; the segments between
+    them are in equal steps. Where the load is a function these are cut in the golden ratio, the
+    longer part first and last by turns: stages at the same phase of a load in all steps would see
+    nothing move.
     """
-    if t_end is None:
-        raise InputError("t_end is missing; Adaptive steps need it")
-    end = number("t_end", t_end, minimum=0.0, strict=True)
+    begin, end = float(times[0]), float(times[-1])
     histories = histories_of(process.C)
     known = all(isinstance(history, History) for history in histories)
     waves = [one for one in histories if isinstance(one, (Sine, Triangle)) and one.amplitude]
@@ -66,9 +62,9 @@ def first_grid(
     if scheme.explicit and process.B is not None and process.Lam > 0:
         stable = 1 / process.Lam
     # enough for a second pass to see where errors are; twice as many where nothing is known between
-    first = steps.first or end / (16 if known else 32)
+    first = steps.first or (end - begin) / (16 if known else 32)
     longest = min(first, period / (2 * PER_PIECE), stable)
-    if end / longest > STEPS:
+    if (end - begin) / longest > STEPS:
         raise InputError(
             f"Adaptive: steps of at most {longest:.3g} up to t_end = {end:g} are more than "
             f"{STEPS:g}. First is {first:.3g}, the data have a period of {period:.3g} and need "
@@ -76,11 +72,8 @@ def first_grid(
             "make first longer, leave out the term of that period, take an implicit scheme or a "
             "shorter t_end"
         )
-    breakpoints = _apart(np.r_[0.0, breakpoints_to_meet(histories, 0.0, end), end])
-    cuts = breakpoints
-    if axes(save) == 1:
-        times = vector("save", save)  # `saving` refuses those that are not between 0 and end
-        cuts = _apart(np.append(cuts, times[(times > 0.0) & (times < end)]))
+    breakpoints = _apart(np.r_[begin, breakpoints_to_meet(histories, begin, end), end])
+    cuts = _apart(np.append(breakpoints, times))
     piece = np.searchsorted(breakpoints, 0.5 * (cuts[1:] + cuts[:-1]))
     longest = np.minimum(longest, np.diff(breakpoints)[piece - 1] / PER_PIECE)
     share = 1.0 if known else GOLDEN
@@ -94,7 +87,13 @@ def first_grid(
     return np.sort(np.append(grid, cuts[-1]))
 
 
-def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) -> tuple[Any, str]:
+def adapt(
+    run: Runs,
+    process: SweepingProcess,
+    steps: Adaptive,
+    times: Array,
+    bound: float = math.inf,
+) -> tuple[Any, str]:
     """The run over the first grid with a small estimated error, and why there is none.
 
     Ctrl-C during a pass returns its steps, Ctrl-C between two passes the one before.
@@ -102,12 +101,14 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
     Parameters
     ----------
     times : ndarray
-        Those of `first_grid`.
+        Those of `first_grid`, or of a run.
+    bound : float
+        Of the error of that run, if it is known; it is estimated from two.
     """
     sol, share, tol = None, math.nan, math.inf
     passes: list[Pass] = []
     # breakpoints are met anyway
-    shortest = min(steps.minimum or 2.0**-40 * times[-1], float(np.diff(times).min()))
+    shortest = min(steps.minimum or 2.0**-40 * (times[-1] - times[0]), float(np.diff(times).min()))
     while True:
         before, began = sol, clock.perf_counter()
         try:
@@ -122,7 +123,7 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
         sizes, r = np.diff(times), int(sol.plan.scheme.order)
         leading = _leading(process, sol)
         errors = leading * sizes ** (r + 1)
-        error = math.inf
+        error = bound
         if before is not None:
             common = np.isin(times, before.t, assume_unique=True)
             change = squares(process.metric.M, sol.u[common] - before.u).max()
@@ -141,8 +142,9 @@ def adapt(run: Runs, process: SweepingProcess, steps: Adaptive, times: Array) ->
         tol = max(0.05 * steps.tol / length, 1e-9) if length else tol
         goal = 0.7 * steps.tol / error  # estimates scatter by a third
         density = float(leading ** (1 / (r + 1)) @ sizes)
-        wanted = density * (density / (errors.sum() * goal)) ** (1 / r) if goal else 0.0
-        if cause := _failure(steps.tol, EPS * length, wanted, passes):
+        wanted = density * (density / (errors.sum() * goal)) ** (1 / r) if len(passes) > 1 else 0.0
+        rounding = EPS * (length + float(process.metric.norm(process.u0)))
+        if cause := _failure(steps.tol, rounding, wanted, passes):
             return sol, cause
         # two to four times the steps: farther its differences do not say where they are needed
         share = min(max(goal, 4.0**-r), 2.0**-r)
@@ -231,6 +233,6 @@ def _failure(tol: float, rounding: float, wanted: float, passes: list[Pass]) -> 
 def _apart(cuts: Array) -> Array:
     """Increasing; breakpoints that differ by rounding are one."""
     cuts = np.unique(cuts)
-    distinct = cuts[np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])]
+    distinct = cuts[np.append(True, np.diff(cuts) > TIME_SLACK * np.abs(cuts).max())]
     distinct[-1] = cuts[-1]
     return distinct

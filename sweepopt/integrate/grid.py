@@ -64,12 +64,6 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
     return times, np.where(np.abs(mean - mus) <= 2 * rounding, mean, mus)
 
 
-def divided(times: Array, parts: int) -> Array:
-    """The grid with each step cut into equal parts."""
-    inner = times[:-1, None] + np.diff(times)[:, None] * np.arange(parts) / parts
-    return np.append(inner.ravel(), times[-1])
-
-
 def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> Array:
     """Those that steps shall meet, increasing: of more than 40 of a table only where it turns.
 

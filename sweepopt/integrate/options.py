@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import MEMORY, Array, at_path, choice, meaning, number, tolerance
+from sweepopt.checks import (
+    MEMORY,
+    Array,
+    at_path,
+    axes,
+    choice,
+    meaning,
+    number,
+    tolerance,
+    vector,
+)
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.grid import (
     contraction,
@@ -100,6 +110,15 @@ class SolveOptions:
             raise InputError(f"scheme {shown(self.scheme)}: Adaptive goes into steps")
         if self.steps is Adaptive:
             raise InputError("steps must be an object, got a class; call it: so.Adaptive(tol)")
+
+    def times_to_meet(self) -> Array:
+        """What adaptive steps contain: 0, the times that are to be saved, and the end."""
+        if self.t_end is None:
+            raise InputError("t_end is missing; Adaptive steps need it")
+        end = number("t_end", self.t_end, minimum=0.0, strict=True)
+        times = vector("save", self.save) if axes(self.save) == 1 else np.empty(0)
+        # `saving` refuses those that are not between 0 and the end
+        return np.r_[0.0, times[(times > 0.0) & (times < end)], end]
 
     def tableau(self, process: SweepingProcess) -> Scheme:
         """The scheme; "auto" is another one for steps that adapt."""
