@@ -64,10 +64,12 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
     return times, np.where(np.abs(mean - mus) <= 2 * rounding, mean, mus)
 
 
-def divided(times: Array, parts: int) -> Array:
-    """The grid with each step cut into equal parts."""
-    inner = times[:-1, None] + np.diff(times)[:, None] * np.arange(parts) / parts
-    return np.append(inner.ravel(), times[-1])
+def divided(times: Array, parts: Any) -> Array:
+    """The grid with each step cut into equal parts: so many of all steps, or of each its number."""
+    parts = np.broadcast_to(parts, len(times) - 1)
+    inside = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    begin, length = (np.repeat(x, parts) for x in (times[:-1], np.diff(times) / parts))
+    return np.append(begin + inside * length, times[-1])
 
 
 def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> Array:
