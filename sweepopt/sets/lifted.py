@@ -296,8 +296,6 @@ class Lifted(ConvexSet):
         return super().weights(tau) if self._blocks is None else self._blocks.weights(tau)
 
     def derivative(self, v: Array) -> Array | None:
-        if self._blocks is not None:
-            return self._blocks.derivative(v)
         near = self.near(v) if self.certifiable else None
         return near.splitting.derivative(near) if near is not None and near.exact else None
 
