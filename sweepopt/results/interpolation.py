@@ -17,7 +17,6 @@ import numpy as np
 
 from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError
-from sweepopt.integrate import divided
 from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
@@ -61,8 +60,8 @@ class Interpolated(NamedTuple):
 
 def smooth_intervals(moving: Motion, t: Array, parts: int = 1) -> Intervals:
     """Equal parts of the steps between the times t, cut at the breakpoints of all histories."""
-    points = breakpoints(moving.histories, t[0], t[-1])
-    cuts = np.union1d(divided(t, parts), points)
+    equal = np.linspace(t[:-1], t[1:], parts, endpoint=False).ravel()
+    cuts = np.unique(np.concatenate([t, equal, breakpoints(moving.histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 
