@@ -21,6 +21,7 @@ from sweepopt.integrate.field import (
 )
 from sweepopt.integrate.grid import (
     check_stability,
+    divided,
     time_grid,
 )
 from sweepopt.integrate.loop import (

@@ -25,7 +25,7 @@ import numpy as np
 
 from sweepopt.checks import TIME_SLACK, Array
 from sweepopt.errors import InputError, Status, SweepoptError
-from sweepopt.integrate.grid import breakpoints_to_meet
+from sweepopt.integrate.grid import breakpoints_to_meet, divided
 from sweepopt.integrate.options import Adaptive
 from sweepopt.integrate.record import Pass, States
 from sweepopt.integrate.schemes import Scheme
@@ -78,13 +78,12 @@ def first_grid(steps: Adaptive, process: SweepingProcess, times: Array, scheme: 
     longest = np.minimum(longest, np.diff(breakpoints)[piece - 1] / PER_PIECE)
     share = 1.0 if known else GOLDEN
     counts = np.ceil(share * np.diff(cuts) / longest * (1 - 1e-9)).astype(int)
-    pieces = zip(cuts, cuts[1:], counts.tolist(), strict=False)
-    grid = np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in pieces])
+    grid = divided(cuts, counts)
     if not known:
-        sizes = np.repeat(np.diff(cuts) / counts, counts)
+        sizes = np.diff(grid)
         odd = np.arange(sizes.size) % 2
-        grid = np.append(grid, grid + np.where(odd, 1 - share, share) * sizes)
-    return np.sort(np.append(grid, cuts[-1]))
+        grid = np.sort(np.append(grid, grid[:-1] + np.where(odd, 1 - share, share) * sizes))
+    return grid
 
 
 def adapt(

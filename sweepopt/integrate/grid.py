@@ -64,6 +64,13 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
     return times, np.where(np.abs(mean - mus) <= 2 * rounding, mean, mus)
 
 
+def divided(times: Array, parts: Any) -> Array:
+    """The grid with each step cut into equal parts, of each step its number."""
+    inside = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    begin, length = (np.repeat(x, parts) for x in (times[:-1], np.diff(times) / parts))
+    return np.append(begin + inside * length, times[-1])
+
+
 def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> Array:
     """Those that steps shall meet, increasing: of more than 40 of a table only where it turns.
 

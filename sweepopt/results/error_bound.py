@@ -58,6 +58,7 @@ from sweepopt.integrate import (
     Velocities,
     combination,
     compensated_sum,
+    divided,
     integrate,
     saving,
     time_grid,
@@ -65,7 +66,7 @@ from sweepopt.integrate import (
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
 from sweepopt.problem import ONE, Norms, SweepingProcess, motion
-from sweepopt.results.interpolation import CURVES, Nodes, slopes_of_curves
+from sweepopt.results.interpolation import CURVES, Nodes, cubic, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.velocity import Plan
 
@@ -299,9 +300,7 @@ def _refined(t: Array, shares: Array, cuts: int) -> Array:
     weights = np.sqrt(np.nan_to_num(shares))  # of inf they have a finite sum
     weights *= cuts / (float(weights.sum()) or 1.0)
     parts = 1 + np.diff(np.floor(0.3 + np.cumsum(weights, dtype=float)), prepend=0).astype(int)
-    inside = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    begin, length = (np.repeat(x, parts) for x in (t[:-1], np.diff(t) / parts))
-    return np.append(begin + inside * length, t[-1])
+    return divided(t, parts)
 
 
 class _Growth(NamedTuple):
@@ -364,20 +363,13 @@ def _distance(
 ) -> tuple[Array, Array]:
     """|v - u_n| at the nodes, and a bound of it on each step, u_n straight between these u.
 
-    That of the Bernstein coefficients of the cubic, whose ends are at the nodes; of a straight v
-    these are all.
+    That of the Bernstein coefficients of the cubic, whose ends are at the nodes.
     """
-    difference, share = nodes.u - u, np.diff(nodes.t)[:, None] / 3
-    first, last, mean = difference[:-1], difference[1:], nodes.velocity
+    difference, h = nodes.u - u, np.diff(nodes.t)[:, None, None]
+    increments = h * slopes - np.diff(u, axis=0)[:, None]
+    inner = norm(cubic(difference[:-1], difference[1:], increments)[:, 1:3])
     nodal = norm(difference)
-    ends = nodal[:-1], nodal[1:]
-    if np.array_equal(slopes[:, 0], mean):
-        return nodal, np.maximum(*ends)
-    inner = [
-        norm((2 * first + last) / 3 + share * (slopes[:, 0] - mean)),
-        norm((first + 2 * last) / 3 + share * (mean - slopes[:, 2])),
-    ]
-    return nodal, np.maximum.reduce([*ends, *inner])
+    return nodal, np.maximum.reduce([nodal[:-1], nodal[1:], *inner.T])
 
 
 # ---- runs ---------------------------------------------------------------------------------------

@@ -31,7 +31,6 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     Selection,
-    assembled,
     places,
 )
 from sweepopt.sets.shapes import Box, Point
@@ -148,10 +147,6 @@ class Aligned(ConvexSet):
     def weights(self, tau: Array) -> Array:
         return self._joined([S.weights(x) for S, x in self._split(tau)], tau)
 
-    def derivative(self, v: Array) -> Array | None:
-        """None for few of the unknowns: their set has one."""
-        return assembled(self.blocks(v), self.dim)
-
     @property
     def _few(self) -> bool:
         return self.unknowns is not None and self.unknowns.size < self.dim
@@ -165,7 +160,7 @@ class Aligned(ConvexSet):
         return max(S.block for S in self.parts)
 
     def blocks(self, v: Array) -> list[Blocks] | None:
-        """None for few of the unknowns."""
+        """None for few of the unknowns: their set has them."""
         each = [S.blocks(x) for S, x in self._split(self._back(v))]
         if self._few or any(blocks is None for blocks in each):
             return None

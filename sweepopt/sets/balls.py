@@ -22,7 +22,6 @@ from sweepopt.sets.base import (
     Features,
     Halfspaces,
     NormalPair,
-    assembled,
     binary,
     neighbours,
 )
@@ -36,14 +35,7 @@ TINY = np.finfo(float).tiny  # 0 / TINY = 0
 STEPS = 100  # of Newton's method, a bound that is not met: each change of regime takes a few
 
 
-class _InBlocks(ConvexSet):
-    """Sets of one block after the other in the vector."""
-
-    def derivative(self, v: Array) -> Array | None:
-        return assembled(self.blocks(v), self.dim)
-
-
-class Balls(_InBlocks):
+class Balls(ConvexSet):
     """The product of m balls around 0 in R^dim, one after the other in the vector.
 
     sigma(z) = sum_k radii_k |z_k|: friction bounds at m contact points, as arrays.
@@ -185,7 +177,7 @@ class Ball(Balls):
         return [self]
 
 
-class SecondOrderCone(_InBlocks):
+class SecondOrderCone(ConvexSet):
     """{ w : |w[1:]| <= slope w[0] }: sigma is the indicator of its polar cone.
 
     Several slopes make the product of as many cones, one after the other in the vector. Shifted

@@ -101,21 +101,6 @@ def neighbours(D: Array) -> Blocks:
     return Blocks(np.arange(D.shape[0] * D.shape[1]).reshape(D.shape[:2]), D)
 
 
-def assembled(blocks: list[Blocks] | None, dim: int) -> Array | None:
-    """The derivative of these blocks, a diagonal as a vector."""
-    if blocks is None:
-        return None
-    if all(block.shape[1] == 1 for _, block in blocks):
-        diagonal = np.zeros(dim)
-        for at, block in blocks:
-            diagonal[at.ravel()] = block.ravel()
-        return diagonal
-    D = np.zeros((dim, dim))
-    for at, block in blocks:
-        D[at[:, :, None], at[:, None]] = block
-    return D
-
-
 def exchanged(M: Any, of: Selection | None) -> sp.dia_array | None:
     """H with zeros beside the unknowns of a selection, `ConvexSet.exchange` there; None for 0."""
     if of is None:
@@ -481,12 +466,12 @@ class ConvexSet(Operators, ABC):
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
     def derivative(self, v: Array) -> Array | None:
-        """A generalised derivative of `project` at v; None where none is known.
+        """A generalised derivative of `project` at v, of a set that has no `blocks` of its own.
 
         Returns
         -------
-        ndarray, shape (dim,) or (dim, dim)
-            A diagonal as a vector.
+        ndarray, shape (dim,) or (dim, dim), or None
+            A diagonal as a vector; None where none is known.
         """
         return None
 
@@ -500,7 +485,7 @@ class ConvexSet(Operators, ABC):
 
     @cached_property
     def block(self) -> int:
-        """How many unknowns `derivative` couples at most."""
+        """How many unknowns `blocks` couples at most."""
         return self.dim
 
     @cached_property
@@ -509,7 +494,7 @@ class ConvexSet(Operators, ABC):
         return self.blocks(self.anchor) is not None
 
     def blocks(self, v: Array) -> list[Blocks] | None:
-        """The blocks of `derivative`; None where that is not known."""
+        """The blocks of a generalised derivative of `project` at v; None where none is known."""
         D, at = self.derivative(v), np.arange(self.dim)
         if D is None:
             return None

@@ -64,15 +64,18 @@ class Flat(NamedTuple):
     others: Array
 
 
-def shortest_on(flat: Flat | None, G: Any, slack: Array, rounding: Array) -> Shortest | None:
-    """As `least_distance`, with equality on the equations, which come first among active rows.
+def shortest_on(
+    equations: Array, others: Array, G: Any, slack: Array, rounding: Array
+) -> Shortest | None:
+    """As `least_distance` of the others, with equality on equations, the first active rows.
 
     With an orthonormal basis Z of the kernel of the equations u = u_0 + Z s, s the shortest with
-    G Z s <= slack - G u_0.
+    G Z s <= slack - G u_0. Both are masks of the rows; what is in none of them does not count.
     """
-    if flat is None or flat.others.all():
-        return least_distance(G, slack, rounding)
-    equations, others = np.flatnonzero(flat.equations), np.flatnonzero(flat.others)
+    equations, others = np.flatnonzero(equations), np.flatnonzero(others)
+    if not equations.size:
+        shortest = least_distance(G[others], slack[others], rounding[others])
+        return shortest and shortest._replace(active=others[shortest.active])
     Q, R, order = scipy.linalg.qr(dense(G[equations]).T, pivoting=True)
     diagonal = np.abs(R.diagonal())
     rank = int((diagonal > RANK * diagonal[0]).sum())
@@ -108,13 +111,15 @@ def least_distance(G: Any, slack: Array, rounding: Array) -> Shortest | None:
     EmptySetError
         If no u exists: some rows with weights >= 0 add up to 0 <w> <= (negative number).
     """
+    u, active = np.zeros(G.shape[1]), np.zeros(0, dtype=int)
+    if (slack >= 0).all():
+        return Shortest(u, active)
     lengths = row_lengths(G)
     if (slack < -rounding)[lengths == 0].any():
         raise EmptySetError(EMPTY + ", a zero row of G has a negative h")
     lengths = np.where(lengths > 0, lengths, np.inf)  # no point violates a zero row then
     G = sp.diags_array(1 / lengths) @ sp.csr_array(G) if sp.issparse(G) else G / lengths[:, None]
     slack, rounding = slack / lengths, rounding / lengths
-    u, active = np.zeros(G.shape[1]), np.zeros(0, dtype=int)
     implied = active  # rows that follow from active ones up to rounding
     visited: set[tuple[int, ...]] = set()
     while True:

@@ -246,9 +246,7 @@ class Lifted(ConvexSet):
         return NormalPair(p, near.w.copy(), 0.0)
 
     def _nearest(self, v: Array) -> NormalPair:
-        """The projection of v and its normal, as exact as they are found."""
-        if self._blocks is not None:
-            return NormalPair(self._blocks.normal(v), self._blocks.project(v), 0.0)
+        """The projection of v and its normal, as exact as they are found, of a set that is one."""
         pair = self._pair(v)
         if pair is None:
             p = normal_by_program(self, v)
@@ -256,30 +254,21 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: Array) -> Array:
-        if self.certifiable and self._blocks is None:
-            pair = self._pair_of_one(w)
-            if pair is not None:
-                return pair.w
-            near = self.near(w)
-            if near.exact:
-                return near.w.copy()
-        return self._nearest(w).w
+        return self.project_rows(w[None])[0]
 
     def project_rows(self, rows: Array) -> Array:
         """Rows are points of curves: each projection starts from the one before."""
         if self._blocks is not None:
             return self._blocks.project_rows(rows)
-        if not self.certifiable:
-            return super().project_rows(rows)
         start, points = None, []
         for v in rows:
             pair = self._pair_of_one(v)
-            if pair is not None:
-                points.append(pair.w)
-                continue
-            near = self._projection(v, start)
-            start = near.start if near.exact else None
-            points.append(near.w if near.exact else self.project(v))
+            if pair is None and self.certifiable:
+                near = self.near(v) if start is None else self._projection(v, start)
+                start = near.start if near.exact else None
+                points.append(near.w if near.exact else self._nearest(v).w)
+            else:
+                points.append((pair or self._nearest(v)).w)
         return np.array(points)
 
     def supports_along(self, p: Array, w: Array) -> Array:
@@ -301,14 +290,12 @@ class Lifted(ConvexSet):
         return np.asarray((p * far).sum(axis=2) + excess / t + rounding)
 
     def normal(self, v: Array) -> Array:
-        return self._nearest(v).p
+        return self._nearest(v).p if self._blocks is None else self._blocks.normal(v)
 
     def weights(self, tau: Array) -> Array:
         return super().weights(tau) if self._blocks is None else self._blocks.weights(tau)
 
     def derivative(self, v: Array) -> Array | None:
-        if self._blocks is not None:
-            return self._blocks.derivative(v)
         near = self.near(v) if self.certifiable else None
         return near.splitting.derivative(near) if near is not None and near.exact else None
 

@@ -32,6 +32,7 @@ from sweepopt.sets.least_distance import (
     Flat,
     Shortest,
     exact_multipliers,
+    least_distance,
     nonnegative_least_squares,
     parallel_rows,
     projector,
@@ -269,7 +270,12 @@ class Polyhedron(ConvexSet):
             return Shortest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if not self.exact:
             return None
-        normal = shortest_on(flat, _columns(self.rows, root), slack, self._rounding(v))
+        G, rounding = _columns(self.rows, root), self._rounding(v)
+        normal = (
+            least_distance(G, slack, rounding)
+            if flat is None
+            else shortest_on(flat.equations, flat.others, G, slack, rounding)
+        )
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: Array) -> Array:

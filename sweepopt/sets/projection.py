@@ -178,10 +178,11 @@ class Splitting:
             return None
         D = np.zeros((x.size, x.size))
         for part, at, unit in self.parts:
-            own = part.derivative(x[at] / unit)
-            if own is None:
+            blocks = part.blocks(x[at] / unit)
+            if blocks is None:
                 return None
-            D[at, at] = np.diag(own) if own.ndim == 1 else own
+            for few, block in blocks:
+                D[at, at][few[:, :, None], few[:, None]] = block
         return D
 
     def projection(self, v: Array, x: Array, size: float) -> Projection:

@@ -39,7 +39,7 @@ from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum
 from sweepopt.linalg import EPS, dense
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
-from sweepopt.sets import NoHalfspacesError, facets, least_distance, parallel_rows
+from sweepopt.sets import NoHalfspacesError, facets, parallel_rows, shortest_on
 
 
 def modes(SA: Array, SB: Array) -> tuple[Array, Array]:
@@ -327,23 +327,12 @@ def _basis(
     """The active rows, and the undecided ones that hold at the x of least norm with R x = s on
     the active and R x <= s on the undecided rows; None if there is no x.
     """
-    others = np.flatnonzero(undecided)
-    G, slack, noise_of = rows.R[others], s[others], noise[others]
-    if active:  # x = Q_1 T^-T s + Q_2 y for the QR factors of R^T on the active rows
-        Q, T = np.linalg.qr(rows.R[active].T, mode="complete")
-        k = len(active)
-        x = Q[:, :k] @ scipy.linalg.solve_triangular(T[:k], s[active], trans=1)
-        G, slack, noise_of = G @ Q[:, k:], slack - G @ x, noise_of + noise[active].max()
-        free = np.linalg.norm(G, axis=1) > 1e-10  # unit rows that are not in the others' span
-        if (slack < -noise_of)[~free].any():
-            return None
-        others, G, slack, noise_of = others[free], G[free], slack[free], noise_of[free]
-    if (slack >= 0).all():
-        return active
+    held = np.isin(np.arange(len(s)), active)
     try:
-        shortest = least_distance(G, slack, noise_of)
+        rounding = noise + noise[active].max(initial=0.0)
+        shortest = shortest_on(held, undecided, rows.R, s, rounding)
     except EmptySetError:
         return None
     if shortest is None:
         raise SweepoptError("rounding hides which rows are active")
-    return active + others[shortest.active].tolist()
+    return active + shortest.active[undecided[shortest.active]].tolist()

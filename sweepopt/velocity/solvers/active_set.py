@@ -68,10 +68,7 @@ class DAQP(Small):
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether C is small and a box: its projection has a diagonal derivative."""
-        if not C.polyhedral or C.dim > self.max_dim:
-            return False
-        D = C.derivative(C.anchor)
-        return D is not None and D.ndim == 1
+        return C.polyhedral and C.block == 1 and C.dim <= self.max_dim and C.differentiable
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Invert M once; a call updates the linear term and the bounds."""
