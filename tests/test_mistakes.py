@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -365,6 +365,45 @@ def test_a_name_that_other_libraries_have_says_what_stands_here_for_it():
     sol = so.solve(process, t_end=1.0, steps=2)
     with pytest.raises(AttributeError, match="Solution has no attribute y; the states are u"):
         sol.y  # noqa: B018
+
+    with pytest.raises(AttributeError, match="no attribute t_end; it ends at t"):
+        sol.t_end  # noqa: B018
+    with pytest.raises(AttributeError, match=r"no attribute run; scene\.solve\(\) runs it"):
+        scene(VISCOUS, HELD).run  # noqa: B018
+    for name, here in (("Interval", "Box"), ("Circle", "Ball"), ("Disc", "Ball")):
+        with pytest.raises(AttributeError, match=f"no attribute '{name}'; did you mean {here}"):
+            getattr(so, name)
+
+
+def test_what_an_own_set_raises_names_the_set_and_the_step():
+    class Weary(Disc):
+        left = 15
+
+        def project(self, w):
+            self.left -= 1
+            if self.left < 0:
+                raise ZeroDivisionError("of my own")
+            return super().project(w)
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        of_own(Weary())
+    where, when = caught.value.__notes__
+    assert where.endswith("Weary.project.")
+    assert re.fullmatch(r"This was raised in step \d, from t = [\d.]+\.", when)
+
+
+def test_friction_on_a_face_that_is_free_along_its_normal_is_told():
+    space = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
+    effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", 1.0)]
+    told = [
+        any("normal displacement" in one for one in so.fem.body(body, effects).left_out)
+        for body in (
+            space,
+            replace(space, held={"bottom": "n"}),
+            replace(space, held={"bottom": "y"}),
+        )
+    ]
+    assert told == [True, False, False]
 
 
 @pytest.mark.parametrize(
