@@ -434,3 +434,15 @@ def test_what_a_process_is_made_of_cannot_be_changed_entry_by_entry(form):
         own[...] = 7.0
     assert process.A[0, 0] == 1.0
     assert not process.u0.any()
+
+
+def test_an_empty_list_of_pictures_draws_none_and_a_study_without_solvers_takes_auto(tmp_path):
+    from sweepopt.fem.pictures import pictures_of
+    from sweepopt.study import read_study
+
+    body = scene(VISCOUS, HELD)
+    assert pictures_of(body) == ["displacement", "stress"]
+    assert pictures_of(replace(body, pictures=[])) == []
+    file = tmp_path / "study.toml"
+    file.write_text('problems = ["S03"]\nschemes = ["midpoint"]\nsteps = [10]\n', encoding="utf-8")
+    assert read_study(file).solvers == ["auto"]
