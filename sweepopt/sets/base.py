@@ -338,7 +338,8 @@ def _checked(function: Any, argument: str) -> Any:
     @wraps(function)
     def checked(C: ConvexSet, *x: Any, **named: Any) -> Any:
         try:
-            return function(C, vector(argument, *x, *named.values(), dim=C.dim))
+            (given,) = (*x, *named.values())
+            return function(C, vector(argument, given, C.dim))
         except Exception as error:
             if not hasattr(error, "__notes__"):  # of the sets that ask this one
                 note(error, f"This was raised in {function.__qualname__}.")
