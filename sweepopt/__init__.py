@@ -168,6 +168,13 @@ _ROOMS = (
 """Where the names are, those first that need little; the last three are names themselves."""
 
 
+_MEANT = {
+    **dict.fromkeys(("interval", "segment", "rectangle", "cube"), "Box"),
+    **dict.fromkeys(("circle", "disc", "disk", "sphere"), "Ball"),
+}
+"""What stands here for sets by another name."""
+
+
 def __getattr__(name: str) -> Any:
     """The public names, each imported when it is first asked for (PEP 562)."""
     if name in _ROOMS:
@@ -184,9 +191,10 @@ def __getattr__(name: str) -> Any:
                 return globals()[name]
     from sweepopt.errors import suggestion
 
+    near = suggestion(_MEANT.get(name.lower(), name), __all__)
     raise AttributeError(
-        f"sweepopt has no attribute {name!r}{suggestion(name, __all__)}; effects and meshes of "
-        "bodies are in sweepopt.fem"
+        f"sweepopt has no attribute {name!r}{near}; effects and meshes of bodies are in "
+        "sweepopt.fem"
     )
 
 

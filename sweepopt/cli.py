@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import sys
 import tempfile
 import time as clock
@@ -18,7 +17,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from sweepopt import __version__
 from sweepopt.checks import count
@@ -97,19 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return REFUSED
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says which command is near to a wrong one."""
-
-    def error(self, message: str) -> NoReturn:
-        _, _, choices = message.partition("invalid choice: ")
-        if choices:
-            word, *known = re.findall(r"\w+", choices)
-            message += suggestion(word, known)
-        super().error(message)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = argparse.ArgumentParser(
         prog="sweepopt", description="Quasistatic evolution with friction, with certificates."
     )
     parser.add_argument("--version", action="version", version=__version__)
@@ -298,7 +286,6 @@ def _announce(scene: Scene, plan: Plan) -> None:
         print(scene.title)
     from sweepopt.fem.output import unit_of_time
 
-    assert scene.t_end is not None  # a file has it
     unit, seconds = unit_of_time(scene, scene.t_end)
     time = "time", f"0 to {scene.t_end / seconds:.5g}{unit} in {scene.steps} steps"
     print(as_lines([*(("changed", change) for change in scene.changes), time]))
@@ -358,7 +345,3 @@ def _say(message: str) -> None:
 
 def _note(words: str) -> None:
     print(words, file=sys.stderr, flush=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

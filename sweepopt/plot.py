@@ -94,7 +94,7 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
     """
     path, figure, moving = writable("path", path), new_figure((8.0, 4.5)), list[Any]()
     panels = _panels(solution, figure)
-    t = solution.t[1:][frame_steps(solution)]
+    t = solution.t[1:][even_steps(solution)]
     if paths := len(panels) == 2:
         u, (force, sets) = solution(t), _forces(solution, t)
         outlines = [C.outline() for C in sets]
@@ -115,16 +115,14 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
     return path
 
 
-def even_steps(solution: Solution, most: int) -> np.ndarray:
-    """At most so many of the kept steps, by their numbers among them; their ends are even times."""
-    times = np.linspace(solution.t[0], solution.t[-1], most + 1)[1:]
+def even_steps(solution: Solution, most: int | None = None) -> np.ndarray:
+    """At most so many of the kept steps, by their numbers among them; their ends are even times.
+
+    By default those of the frames of an animation.
+    """
+    times = np.linspace(solution.t[0], solution.t[-1], (most or MOST_FRAMES) + 1)[1:]
     # one that misses a node by rounding is that node
     return np.unique(np.searchsorted(solution.t[1:], times_inside(times, solution.t)))
-
-
-def frame_steps(solution: Solution) -> np.ndarray:
-    """Those of the frames of an animation."""
-    return even_steps(solution, MOST_FRAMES)
 
 
 def _panels(solution: Solution, figure: Any) -> Any:

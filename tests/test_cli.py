@@ -297,7 +297,7 @@ def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
     (
         ["rum", "pipe"],
         "argument COMMAND: invalid choice: 'rum' (choose from 'list', 'run', 'effects', 'study', "
-        "'compare'); did you mean run?",
+        "'compare')",
     ),
     (["--bound", "run", "pipe"], "unrecognized argument --bound; put it after the command"),
     (

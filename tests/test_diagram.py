@@ -54,6 +54,18 @@ def test_what_has_no_place_on_the_axes_is_beside_the_others():
     assert 0.0 < exact.get_ydata()[0] < BLOCK.error[BLOCK.error > 0].min()
 
 
+def test_an_error_that_is_not_known_is_drawn_at_its_bound():
+    rows = BLOCK.assign(error=BLOCK.error.where(BLOCK.steps != 200))
+    places = [
+        xy
+        for line in drawn(work_precision(rows), "at its bound")
+        for xy in line.get_xydata().tolist()
+    ]
+    hidden = rows[rows.success & rows.error.isna()]
+    assert len(hidden) > 2
+    assert sorted(places) == sorted(map(list, zip(hidden.wall, hidden.bound, strict=True)))
+
+
 def test_a_cost_can_be_chosen_and_the_legend_names_each_line_once():
     ax = work_precision(TABLE, x="steps")
     assert ax.get_xlabel() == "time steps"

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -366,6 +366,45 @@ def test_a_name_that_other_libraries_have_says_what_stands_here_for_it():
     with pytest.raises(AttributeError, match="Solution has no attribute y; the states are u"):
         sol.y  # noqa: B018
 
+    with pytest.raises(AttributeError, match="no attribute t_end; it ends at t"):
+        sol.t_end  # noqa: B018
+    with pytest.raises(AttributeError, match=r"no attribute run; scene\.solve\(\) runs it"):
+        scene(VISCOUS, HELD).run  # noqa: B018
+    for name, here in (("Interval", "Box"), ("Circle", "Ball"), ("Disc", "Ball")):
+        with pytest.raises(AttributeError, match=f"no attribute '{name}'; did you mean {here}"):
+            getattr(so, name)
+
+
+def test_what_an_own_set_raises_names_the_set_and_the_step():
+    class Weary(Disc):
+        left = 15
+
+        def project(self, w):
+            self.left -= 1
+            if self.left < 0:
+                raise ZeroDivisionError("of my own")
+            return super().project(w)
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        of_own(Weary())
+    where, when = caught.value.__notes__
+    assert where.endswith("Weary.project.")
+    assert re.fullmatch(r"This was raised in step \d, from t = [\d.]+\.", when)
+
+
+def test_friction_on_a_face_that_is_free_along_its_normal_is_told():
+    space = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
+    effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", 1.0)]
+    told = [
+        any("normal displacement" in one for one in so.fem.body(body, effects).left_out)
+        for body in (
+            space,
+            replace(space, held={"bottom": "n"}),
+            replace(space, held={"bottom": "y"}),
+        )
+    ]
+    assert told == [True, False, False]
+
 
 @pytest.mark.parametrize(
     "line, hint",
@@ -395,3 +434,15 @@ def test_what_a_process_is_made_of_cannot_be_changed_entry_by_entry(form):
         own[...] = 7.0
     assert process.A[0, 0] == 1.0
     assert not process.u0.any()
+
+
+def test_an_empty_list_of_pictures_draws_none_and_a_study_without_solvers_takes_auto(tmp_path):
+    from sweepopt.fem.pictures import pictures_of
+    from sweepopt.study import read_study
+
+    body = scene(VISCOUS, HELD)
+    assert pictures_of(body) == ["displacement", "stress"]
+    assert pictures_of(replace(body, pictures=[])) == []
+    file = tmp_path / "study.toml"
+    file.write_text('problems = ["S03"]\nschemes = ["midpoint"]\nsteps = [10]\n', encoding="utf-8")
+    assert read_study(file).solvers == ["auto"]

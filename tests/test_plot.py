@@ -151,6 +151,10 @@ def test_several_boundaries_share_one_picture(tmp_path):
     save(figure, tmp_path / "contact.png")
     zone, moved, *_ = figure.axes
     assert zone.get_ylabel() == "arc length along bottom, left"
+    (beside,) = zone.child_axes
+    assert [text.get_text() for text in beside.get_yticklabels()] == ["bottom", "left"]
+    begins = [line.get_ydata()[0] for line in zone.lines if line.get_color() == "white"]
+    assert begins == beside.get_yticks().tolist() == pytest.approx([0.0, 1.2])
     labels = " ".join(text.get_text() for text in moved.get_legend().get_texts())
     assert "bottom" in labels
     assert "left" in labels
@@ -354,7 +358,7 @@ def test_arrows_of_slip_have_a_scale_at_each_time_and_say_how_fast_the_longest_o
         assert longest == pytest.approx(0.08 * width if speed[i] else 0.0)
         assert panel.get_title().endswith(f", slip arrows up to {speed[i]:.2g}")
     # a mean: at the end of a step its nodes may slip below the bound of Tresca
-    assert figure.axes[-1].get_ylabel() == "friction traction / bound,\nmean of each step"
+    assert figure.axes[-1].get_ylabel() == "friction traction / bound\n(± error of the step)"
 
 
 def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):

@@ -455,8 +455,8 @@ class Slip:
     t : ndarray, shape (n+1,)
     stage_t : ndarray, shape (n,)
         Where in each step the traction is taken: at the scheme's stage, so that |q| <= g holds as
-        exactly as the step is certified; in the middle for schemes of several stages. Of a step
-        that is taken in parts, as the load turns in it, q is a mean, which may be larger.
+        exactly as the step is certified. For schemes of several stages, and steps in parts, it is
+        that of the mean velocity in the middle: off by the error of the step, also above g.
     displacement : ndarray, shape (n+1, m) or (n+1, m, components)
     velocity : ndarray, shape (n, m) or (n, m, components)
         Exactly 0.0 where a node sticks.

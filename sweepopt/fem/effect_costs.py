@@ -72,8 +72,6 @@ def compare_effects(
 
 
 def _cost(scene: Scene, steps: int) -> dict[str, Any]:
-    assert scene.t_end is not None  # read_scene has both
-    assert scene.steps is not None
     taken = min(steps, scene.steps)
     solution = scene.solve(t_end=scene.t_end * taken / scene.steps, steps=taken)
     plan, stats, process = solution.plan, solution.stats, solution.process

@@ -40,6 +40,8 @@ from sweepopt.loads import History
 Phi = Callable[[float], Any]
 Force = tuple[Phi, Array | Callable[[float], Array]]
 
+NAMES = property(lambda effect: effect.on)
+"""Of effects that act on tangents (`turned`), or that pictures mark (`pulled`), where they act."""
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
 
 
@@ -297,6 +299,10 @@ class Elasticity(Record):
     tensor: ArrayLike | None = None
 
     data = Coefficient("kappa", 0.0), YOUNG, POISSON
+    meaning = Record.meaning | dict.fromkeys(
+        ("young", "poisson", "mu", "G", "lam", "lambda", "K"),
+        "; give E, Young's modulus, and nu, Poisson's ratio, or kappa in antiplane shear",
+    )
 
     def __post_init__(self) -> None:
         _one_of(self, ("kappa",), ("E", "nu"), ("tensor",))
@@ -356,7 +362,7 @@ class Dashpot(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=_restrict(body, self.on, _mass(body, self)))
+        return Contribution(A=_mass(body, self))
 
 
 @dataclass(frozen=True)
@@ -391,7 +397,7 @@ class Foundation(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B."""
-        return Contribution(B=_restrict(body, self.on, _mass(body, self)))
+        return Contribution(B=_mass(body, self))
 
 
 @dataclass(frozen=True)
@@ -441,6 +447,7 @@ class Friction(Record):
     axes: Sequence[float] | None = None
     slip: SlipLaw | None = None
     data = Coefficient("g", 0.0, finite=False), Coefficient("p", 0.0)
+    turned = NAMES
     meaning = Record.meaning | {"mu": "; give g, the largest traction, or mu as g and a pressure p"}
 
     def __post_init__(self) -> None:
@@ -453,11 +460,6 @@ class Friction(Record):
         if self.axes is not None:
             axes = [number("axes", one, 0.0, strict=True) for one in listed("axes", self.axes)]
             object.__setattr__(self, "axes", tuple(axes))
-
-    @property
-    def turned(self) -> Sequence[str]:
-        """Where it acts on tangents."""
-        return self.on
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""
@@ -527,12 +529,7 @@ class Traction(Record):
     on: Sequence[str]
     history: Phi
     f2: Datum | Sequence[Datum] = 1.0
-    data = (Coefficient("f2", vector=True),)
-
-    @property
-    def pulled(self) -> Sequence[str]:
-        """What pictures mark."""
-        return self.on
+    data, pulled = (Coefficient("f2", vector=True),), NAMES
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
@@ -618,7 +615,7 @@ class PrescribedDisplacement(Record):
     on: Sequence[str]
     history: History
     d: Datum | Sequence[Datum] = 1.0
-    data = (Coefficient("d", vector=True),)
+    data, pulled = (Coefficient("d", vector=True),), NAMES
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -627,11 +624,6 @@ class PrescribedDisplacement(Record):
                 f"history must be data whose rate is known, such as Table or Sine, got "
                 f"{shown(self.history)}"
             )
-
-    @property
-    def pulled(self) -> Sequence[str]:
-        """What pictures mark."""
-        return self.on
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
@@ -883,12 +875,8 @@ def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
     given = {name for names in choices for name in names if getattr(effect, name) is not None}
     if given not in map(set, choices):
         words = ", or ".join(" and ".join(names) for names in choices)
-        for names in choices:
-            if given < set(names):
-                missing = next(name for name in names if name not in given)
-                beside = "".join(f" beside {name}" for name in given)
-                raise InputError(f"{missing}: is missing{beside}; give {words}")
-        raise InputError(f"{sorted(given)[0]}: give {words}, not {' and '.join(sorted(given))}")
+        found = " and ".join(sorted(given)) or "none of them"
+        raise InputError(f"{min(given, default=choices[0][0])}: give {words}; got {found}")
 
 
 def _check_compressible(nu: Array) -> None:
@@ -970,10 +958,10 @@ def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:
 
 
 def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
-    """int c u . v of all degrees of freedom."""
+    """int c u . v on the unknowns."""
     place = body.place("on", effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
-    return place.matrix(lambda u, v, _: c * inner(u, v))
+    return _restrict(body, effect.on, place.matrix(lambda u, v, _: c * inner(u, v)))
 
 
 def _force(

@@ -91,12 +91,15 @@ def pictures_of(scene: Scene) -> list[str]:
     InputError
         If one that it asks for does not fit.
     """
-    reasons = {name: refusal(scene, name) for name in (*scene.pictures, *AUTOMATIC)}
-    fitting = [name for name in scene.pictures if not reasons[name]]
-    if len(fitting) < len(scene.pictures) and not any("without" in one for one in scene.changes):
-        reason = next(filter(None, map(reasons.get, scene.pictures)))
+    asked = scene.pictures or ()
+    reasons = {name: refusal(scene, name) for name in (*asked, *AUTOMATIC)}
+    fitting = [name for name in asked if not reasons[name]]
+    if len(fitting) < len(asked) and not any("without" in one for one in scene.changes):
+        reason = next(filter(None, map(reasons.get, asked)))
         raise InputError(f"pictures: {reason}; leave it out")
-    return fitting or [name for name in AUTOMATIC if not reasons[name]]
+    if scene.pictures is None or len(fitting) < len(asked):
+        return fitting or [name for name in AUTOMATIC if not reasons[name]]
+    return fitting
 
 
 def draw(report: Report, name: str) -> Any:
@@ -139,7 +142,7 @@ def animated(scene: Scene, name: str = "") -> str:
     InputError
         If there is none, or the one that is named does not fit.
     """
-    names = [choice("picture", name, FIELDS)] if name else [*scene.pictures, *FIELDS]
+    names = [choice("picture", name, FIELDS)] if name else [*(scene.pictures or ()), *FIELDS]
     fitting = [one for one in names if one in FIELDS and not refusal(scene, one)]
     if not fitting:
         raise InputError(f"an animation of {refusal(scene, name or 'displacement')}")
@@ -171,7 +174,7 @@ def contact(report: Report) -> Any:
     )
     name_axis(report, moved.yaxis, "displacement", "length")
     legend_above(moved, 5)
-    traction.set(ylabel="traction / bound,\nmean of each step", ylim=(-1.15, 1.15))
+    traction.set(ylabel="traction / bound\n(± error of the step)", ylim=(-1.15, 1.15))
     if loaded:
         _, load, (_, name) = driven(report.scene, report.solution)
         panels[3].plot(slip.t / seconds, load, color="black")
@@ -273,12 +276,17 @@ def _place(slip: Slip) -> tuple[Array, str]:
 
 
 def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: Any) -> Any:
-    """A map of values of steps and nodes over time and place."""
+    """A map of values of steps and nodes over time and place, and where each boundary begins."""
     place, name = _place(slip)
     order = np.argsort(place, kind="stable")
     x = place[order]
     edges = np.hstack([x[0], (x[1:] + x[:-1]) / 2.0, x[-1]])
     name_axis(report, panel.yaxis, name, "length")
+    names, first = np.unique(slip.contact.boundary, return_index=True)
+    if slip.contact.on_curve and len(names) > 1:
+        for begin in place[first]:
+            panel.axhline(begin, color="white")
+        panel.secondary_yaxis("right").set_yticks(place[first], names, va="bottom")
     t = slip.t / report.clock[1]
     return panel.pcolormesh(t, edges, values[:, order].T, rasterized=True, **look)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -53,6 +53,7 @@ from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent, Summands
 from sweepopt.velocity import PATHS, solvers
 
 UNITS = ("dimensionless", "SI")
+LOOSE = "nothing holds the normal displacement where friction acts: the body may leave the floor"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,8 +77,8 @@ class Scene(Displayed):
         Arguments of `sweepopt.solve`.
     units : {"dimensionless", "SI"}
     title : str
-    pictures : sequence of str
-        Those of a run, of PICTURES; empty for all that fit.
+    pictures : sequence of str or None
+        Those of a run, of PICTURES; None for all that fit.
     force : callable or None
         f(t), shape (dim,); None is no load.
     lifts : tuple of (history, ndarray)
@@ -95,20 +96,22 @@ class Scene(Displayed):
     contact: Contact | None
     effects: tuple[Effect, ...]
     left_out: tuple[str, ...]
-    t_end: float | None = None
-    steps: int | None = None
+    t_end: Any = None
+    steps: Any = None
     scheme: str = "auto"
     solver: str = "auto"
     tol: float = 1e-6
     path: str = "auto"
     units: str = "dimensionless"
     title: str = ""
-    pictures: Sequence[str] = ()
+    pictures: Sequence[str] | None = None
     force: Callable[[float], Any] | None = None
     lifts: tuple[tuple[History, Array], ...] = ()
     yields: tuple[Yield, ...] = ()
     internal: tuple[slice, ...] = ()
     changes: tuple[str, ...] = ()
+
+    _instead: ClassVar = {"run": "scene.solve() runs it", "u": "scene.solve().u are the states"}
 
     def _rows(self) -> Rows:
         space = self.discretisation
@@ -418,12 +421,9 @@ def build(
     settings: Mapping[str, Any],
 ) -> Scene:
     """A scene from effects by the label that errors shall give them."""
-    choice("units", settings["units"], UNITS)
-    title = settings["title"]
-    if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
-        raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
-    space, effects = _resolve(space, effects)
+    _check_words(**settings)
     steps = settings["steps"]
+    space, effects = _resolve(space, effects)
     vars(space)["start"] = float(entries("steps", steps)[0]) if axes(steps) else 0.0
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
@@ -451,15 +451,17 @@ def build(
     with _blaming(effects, parts):
         problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     problem.unknowns_digest, problem.moved = space.digest, bool(lifts)
+    contact = merged([one.contact for one in yields if one.contact is not None])
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
         "no load: f = 0": loads,
+        LOOSE: contact is None or not space.frame.normal[contact.node].any(),
     }
     return Scene(
         problem=problem,
         discretisation=space,
-        contact=merged([one.contact for one in yields if one.contact is not None]),
+        contact=contact,
         effects=tuple(effects.values()),
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
@@ -468,6 +470,12 @@ def build(
         internal=internal,
         **settings,
     )
+
+
+def _check_words(units: Any, title: Any, **_: Any) -> None:
+    choice("units", units, UNITS)
+    if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
+        raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
 
 
 def _resolve(

@@ -48,6 +48,13 @@ EFFECTS: dict[str, type] = {
 """Effects by the name of their table in a scene file."""
 MEANT = {"gravity": "; did you mean body_force?"}
 """What stands here for effects by another name."""
+MISSING = {
+    "domain": "; write [domain], with mesh and clamped",
+    "time": "; write [time], with end and steps",
+    "effects": "; write [effects.viscosity] with eta, for example",
+    "history": "; a constant one is { waveform = 'constant' }",
+}
+"""Ends of messages that a key is missing."""
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""
@@ -76,7 +83,7 @@ class _File(NamedTuple):
     solve: Any = {}  # noqa: RUF012
     title: str = ""
     units: str = "dimensionless"
-    pictures: Any = ()
+    pictures: Any = None
 
 
 @meaning(
@@ -120,7 +127,7 @@ def read_scene(
     ::
 
         title = "..."                   # optional; units = "SI" or "dimensionless" (default)
-        pictures = ["contact"]          # of a run; all that fit if not given
+        pictures = ["contact"]          # of a run, [] for none; all that fit if not given
         [domain]
         mesh = "tube.msh"               # Gmsh, VTU, Abaqus; groups by name
         # mesh = { sizes = [2.0, 1.0], cells = [20, 10] }: sides left, right, bottom, top (front,
@@ -208,17 +215,17 @@ def _scene_of(
 ) -> Scene:
     """The scene of its tables."""
     _require_places("", data)
-    file = _construct(_File, data, "", folder)
+    file = _construct(_File, data, "", folder, MISSING)
     for name in ("domain", "time", "solve"):
         _require_places(name, getattr(file, name))
-    pictures = listed("pictures", file.pictures) if file.pictures else ()
-    for name in pictures:
+    pictures = file.pictures if file.pictures in (None, []) else listed("pictures", file.pictures)
+    for name in pictures or ():
         choice("pictures", name, PICTURES)
     tables = effect_tables(file.effects)
     labels = remaining(list(tables), without)
     body = _construct(Discretisation, file.domain, "domain", folder)
     there = ", ".join(sorted(body.mesh.boundaries or {})) or "none"
-    missing = {"on": f"; the boundaries are: {there}"}
+    missing = MISSING | {"on": f"; the boundaries are: {there}"}
     chosen = {label: _construct(*tables[label], label, folder, missing) for label in labels}
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
     settings["changes"] = (
@@ -234,6 +241,11 @@ def _require_places(name: str, table: Any) -> None:
     """Refuse a key that has its place in another table than the one of this name."""
     places = dict.fromkeys(EFFECTS, "effects.")
     kinds: dict[str, Any] = {"domain.": Discretisation, "time.": _time, "solve.": method, "": _File}
+    if not name:  # a change of a key of an effect, without its table
+        named = table["effects"] if isinstance(table.get("effects"), Mapping) else ()
+        kinds = {
+            f"effects.{one}.": EFFECTS[one] for one in named if isinstance(EFFECTS.get(one), type)
+        } | kinds
     for path, kind in kinds.items():
         places |= dict.fromkeys(signature(kind).parameters, path)
     here = f"{name}." if name else ""
@@ -370,11 +382,12 @@ def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
             )
         if WORD.fullmatch(value) and value not in ("true", "false", "inf", "nan"):
             value = f"'{value}'"
-        where = f"{path.strip()}={value} (text is in quotes)"
+        path = path.strip()
+        where = f"{path}={value} (text is in quotes)"
         table = parse_toml(where, f"value = {value}")
         if table.keys() != {"value"}:
             raise InputError(f"{where}: must be one value")
-        changes[path.strip()] = table["value"]
+        changes[path] = table["value"]
     return changes
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from sweepopt.fem.contact import Slip, signed_lengths
 from sweepopt.fem.spaces import boundary_names
-from sweepopt.plot import STICK, even_steps, frame_steps, new_figure, write_animation
+from sweepopt.plot import STICK, even_steps, new_figure, write_animation
 
 if TYPE_CHECKING:
     from sweepopt.fem.output import Report
@@ -68,7 +68,7 @@ def picture(report: Report, field: At) -> Any:
 
 def animation(report: Report, field: At, path: Path) -> None:
     """Write the field at even times as a GIF or, by ffmpeg, as an MP4."""
-    steps = frame_steps(report.solution)
+    steps = even_steps(report.solution)
     shown = field(report, steps)
     figure, panel = _page(report, shown, steps[:1])
 
@@ -262,7 +262,7 @@ def arrows(report: Report, steps: Array) -> Field:
         return panel.scatter(*x.T, c=use[i], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
 
     axes = tuple("xyz"[k] for k in plane)
-    label = "friction traction / bound,\nmean of each step"
+    label = "friction traction / bound\n(± error of the step)"
     return Field(draw, x, label, "", {}, axes)
 
 

@@ -127,7 +127,8 @@ class Discretisation(Brief):
         check_mesh(self.mesh)
         if self.mesh.dim() not in dimensions:
             needs = " or ".join(CELLS[k] for k in dimensions)
-            raise InputError(f"kind: {self.kind!r} needs a mesh of {needs}; change one of the two")
+            fitting = ", ".join(kind for kind, some in KINDS.items() if self.mesh.dim() in some)
+            raise InputError(f"kind: {self.kind!r} needs a mesh of {needs}; of this one: {fitting}")
         object.__setattr__(self, "mesh", refined(self.mesh, self.refinements))
         if self.lumped and (
             self.element != "P1" or not np.allclose(np.diff(self.mesh.p[0][self.mesh.t], axis=0), 1)

@@ -13,7 +13,7 @@ from scipy.linalg import blas
 
 from sweepopt.checks import HUGE, Array
 from sweepopt.display import by_parts
-from sweepopt.errors import InputError, Status, brought_by, result_of, shown
+from sweepopt.errors import InputError, Status, brought_by, note, result_of, shown
 from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.grid import by_steps
 from sweepopt.integrate.record import Run, Step
@@ -90,6 +90,9 @@ def integrate(
                 return
     except KeyboardInterrupt:
         run.status = Status.INTERRUPTED
+    except Exception as error:
+        note(error, f"This was raised in step {i}, from t = {starts[i]:g}.")
+        raise
 
 
 def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:

@@ -62,6 +62,8 @@ TRIED = {
     "displacement": "the states are u; those of a body at its nodes are scene.displacement(sol)",
     "z": "the velocities are velocity, one row a step",
     "error": "a bound of the error is error_bound()",
+    "t_end": "it ends at t[-1]",
+    "stress": "stresses of a body are scene.stress(sol)",
     "certificate": "certificates are stats['certificate'], one a step",
 }
 """Those of SciPy's solve_ivp first."""

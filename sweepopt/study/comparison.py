@@ -91,14 +91,17 @@ def compare(
     InputError
         If no step of the run has a program: nothing moves, there is a formula, or it is linear.
     """
-    programs = record(source, count("steps", steps))
+    progress(f"{source.name}: a run of {count('steps', steps)} steps records its programs")
+    programs = record(source, steps)
     _, q, C = programs[0]
-    progress(f"{source.name}: {len(programs)} programs of {q.size} unknowns")
+    solvers = list(solvers_for(C))
+    progress(f"{len(programs)} programs of {q.size} unknowns for {len(solvers)} solvers")
     parts = []
-    for setting, solver in solvers_for(C):
-        progress(f"{solver.name} {setting}")
+    for k, (setting, solver) in enumerate(solvers, start=1):
         part = DataFrame(trials(solver, programs))
         parts.append(part.assign(solver=solver.name, setting=setting, accuracy=ACCURACIES[setting]))
+        solved = (part.certificate <= ACCURACIES[setting]).mean()
+        progress(f"{k} of {len(solvers)}: {solver.name} {setting}: solved {solved:.3g}")
     tried = concat(parts)
     tried["solved"] = tried.certificate <= tried.accuracy
     tried["time"] = tried.seconds.where(tried.solved, tried.seconds.max())

@@ -1,9 +1,9 @@
 """The work-precision diagram: what accuracy costs, and what failed.
 
 A panel is a problem with its mesh, a colour a scheme and tolerance, a marker a solver, a dashed
-line the guaranteed bound of the error in time. Cells that have no place on logarithmic axes are not
-left out: an error of 0 lies below the others of its panel, a cell that failed or whose error is not
-known above them.
+line the guaranteed bound of the error in time. An error that is not known is drawn at its bound.
+Cells that have no place on logarithmic axes are not left out: an error of 0 lies below the others
+of its panel, a cell that failed or of which neither error nor bound is known above them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,6 +31,7 @@ COSTS = {
     "steps": "time steps",
     "solver_calls": "solver calls",
 }
+UNKNOWN = "error not known: at its bound, or at the top"
 LOOK = ["panel", "label", "marker", "line", "colour", "solver"]
 """What a line of the diagram has in common: marker, line and colour as matplotlib names them; there
 is no line, or there are no markers, where one is ""."""
@@ -94,22 +95,22 @@ def points(table: DataFrame, x: str) -> DataFrame:
     known = table.success & np.isfinite(table.error)
     tols = table.tol.map(" · tol {:g}".format) if table.tol.nunique() > 1 else ""
     bodies, scheme = table[["problem", "refinements", "element"]], table.scheme + tols
+    names = [body_name(*body) for body in bodies.itertuples(index=False)]
+    bound = table.bound.where(table.success & (len(set(names)) == table.problem.nunique()))
     cells = table.assign(
-        panel=[body_name(*body) for body in bodies.itertuples(index=False)],
+        panel=names,
         label=scheme + " · " + table.solver,
         marker=_in_turn(table.solver, MARKERS),
         line="-",
         colour=_in_turn(scheme, COLOURS),
         x=table[x].groupby(table.problem).transform(_on_axis),
-        y=table.error.where(known).groupby(table.problem).transform(_on_axis),
+        y=table.error.where(known, bound).groupby(table.problem).transform(_on_axis),
     )
-    bounded = cells.panel.nunique() == cells.problem.nunique()
-    proved = known & np.isfinite(table.bound) & bounded
     parts = [
         cells[known],
-        cells[proved].assign(label="guaranteed bound", marker="", line="--", y=table.bound),
+        cells[np.isfinite(bound)].assign(label="guaranteed bound", marker="", line="--", y=bound),
         cells[~table.success].assign(label="failed", marker="x", line=""),
-        cells[table.success & ~known].assign(label="error not known", marker="o", line=""),
+        cells[table.success & ~known].assign(label=UNKNOWN, marker="v", line=""),
     ]
     # lines in the order of the table, the points of each by their steps
     places = concat(parts)

@@ -24,7 +24,7 @@ import numpy as np
 from pandas import DataFrame
 
 from sweepopt.checks import at_path, choice, count, from_table, number
-from sweepopt.errors import InputError, brought_by, shown
+from sweepopt.errors import InputError, brought_by
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
@@ -84,7 +84,6 @@ class Study:
 
     def __post_init__(self) -> None:
         self.runs()
-        _text("title", self.title)
 
     def runs(self) -> list[Cell]:
         """All combinations, the problem slowest; InputError if a problem's file is gone."""
@@ -124,9 +123,9 @@ class Study:
         return source._replace(refinements=max(self.refinements) + 1, element=max(self.elements))
 
     def _source(self, name: str, value: Any) -> Source:
-        text = _text(name, value)
+        path = str(as_path(name, value))
         with at_path(f"{name}: "):
-            return find_source(text, self.folder)
+            return find_source(path, self.folder)
 
 
 def read_study(path: str | Path) -> Study:
@@ -148,7 +147,7 @@ def read_study(path: str | Path) -> Study:
         title = "What accuracy costs"                   # optional
         problems = ["S03", "tube", "scenes/mine.toml"]  # relative to this file
         schemes = ["catching-up", "midpoint"]
-        solvers = ["auto", "clarabel", "cvxpy:scs"]
+        solvers = ["auto", "clarabel", "cvxpy:scs"]     # optional
         steps = [100, 1000]
         tols = [1e-6]                                   # optional
         refinements = [0, 1, 2]                         # optional, of the meshes of scenes
@@ -168,7 +167,8 @@ def read_study(path: str | Path) -> Study:
     True
     """
     path = as_path("path", path)
-    return from_table(f"{path}: ", Study, read_parts(path)[0], folder=str(path.parent))
+    table = {"solvers": ["auto"]} | read_parts(path)[0]
+    return from_table(f"{path}: ", Study, table, folder=str(path.parent))
 
 
 def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -275,12 +275,6 @@ def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
                 yield alone.submit(run_cell, *job).result()
             except BrokenExecutor as error:
                 yield job[0].failed(error)
-
-
-def _text(name: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise InputError(f"{name} must be text, got {shown(value)}")
-    return value
 
 
 def _solver(name: str, value: Any) -> Any:
