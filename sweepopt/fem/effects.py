@@ -40,7 +40,7 @@ from sweepopt.loads import History
 Phi = Callable[[float], Any]
 Force = tuple[Phi, Array | Callable[[float], Array]]
 
-NAMES = property(lambda effect: effect.on)
+PLACE = property(lambda effect: effect.on)
 """Of effects that act on tangents (`turned`), or that pictures mark (`pulled`), where they act."""
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
 
@@ -447,7 +447,7 @@ class Friction(Record):
     axes: Sequence[float] | None = None
     slip: SlipLaw | None = None
     data = Coefficient("g", 0.0, finite=False), Coefficient("p", 0.0)
-    turned = NAMES
+    turned = PLACE
     meaning = Record.meaning | {"mu": "; give g, the largest traction, or mu as g and a pressure p"}
 
     def __post_init__(self) -> None:
@@ -529,7 +529,7 @@ class Traction(Record):
     on: Sequence[str]
     history: Phi
     f2: Datum | Sequence[Datum] = 1.0
-    data, pulled = (Coefficient("f2", vector=True),), NAMES
+    data, pulled = (Coefficient("f2", vector=True),), PLACE
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
@@ -615,7 +615,7 @@ class PrescribedDisplacement(Record):
     on: Sequence[str]
     history: History
     d: Datum | Sequence[Datum] = 1.0
-    data, pulled = (Coefficient("d", vector=True),), NAMES
+    data, pulled = (Coefficient("d", vector=True),), PLACE
 
     def __post_init__(self) -> None:
         super().__post_init__()

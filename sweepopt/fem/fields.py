@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -336,8 +336,17 @@ class Coefficient(NamedTuple):
             )
 
 
-SlipLaw: TypeAlias = Any
-"""A function phi >= 0 of an array of slips (m), with its `lipschitz`, the largest |phi'| (1/m)."""
+class SlipLaw(Protocol):
+    """A function phi >= 0 of an array of slips (m) that knows its Lipschitz constant."""
+
+    @property
+    def lipschitz(self) -> float:
+        """The largest |phi'| (1/m)."""
+        ...
+
+    def __call__(self, slip: Array) -> Array:
+        """phi(s), of the shape of s, without unit."""
+        ...
 
 
 @dataclass(frozen=True)

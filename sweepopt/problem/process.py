@@ -136,7 +136,7 @@ class SweepingProcess(Displayed):
         self, A: Any, B: Any, C: AnySet, u0: Any, fields: dict[str, slice] | None = None
     ) -> None:
         self.A, self.B, sizes = _matrices(A, B)
-        if callable(C) and not isinstance(C, (type, ConvexSet, MovingSet)):
+        if callable(C) and not isinstance(C, (type, MovingSet)):
             takes("C", C, "t")
             C = MovingSet(C)
         if not isinstance(C, (ConvexSet, MovingSet)):

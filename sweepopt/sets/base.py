@@ -30,7 +30,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Array, Matrix, divisor, number, vector
 from sweepopt.display import Brief, brief, svg
-from sweepopt.errors import InputError, SweepoptError, note
+from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
 from sweepopt.sets.curves import products
 
@@ -288,9 +288,6 @@ class Operators(Brief):
     def __contains__(self, w: Any) -> bool:
         raise InputError("w in C: write C.contains(w), of a set that moves C.at(t).contains(w)")
 
-    def __call__(self, *_: Any, **__: Any) -> Any:
-        raise InputError("a set is no function of t: C(t) is C.at(t), C itself if it does not move")
-
     def __or__(self, _: Any) -> Any:
         raise InputError("C | D is not defined: a union is not convex; an intersection is C & D")
 
@@ -315,22 +312,6 @@ class _Required:
             return self
         what = f"self.{self._name} = {self._what}"
         raise InputError(f"{owner.__name__} has no {self._name}: give it {what}, in its __init__")
-
-
-def _checked(function: Any, argument: str) -> Any:
-    """A set's function of a vector of its space; on what it raises is noted which one it was."""
-
-    @wraps(function)
-    def checked(C: ConvexSet, *x: Any, **named: Any) -> Any:
-        try:
-            (given,) = (*x, *named.values())
-            return function(C, vector(argument, given, C.dim))
-        except Exception as error:
-            if not hasattr(error, "__notes__"):  # of the sets that ask this one
-                note(error, f"This was raised in {function.__qualname__}.")
-            raise
-
-    return checked
 
 
 class ConvexSet(Operators, ABC):
@@ -394,9 +375,21 @@ class ConvexSet(Operators, ABC):
 
     def __init_subclass__(cls) -> None:
         """Arguments of `support` and `project` are vectors of the space, whoever wrote the set."""
-        for name, argument in (("support", "z"), ("project", "w")):
-            if name in vars(cls):
-                setattr(cls, name, _checked(vars(cls)[name], argument))
+        support, project = (vars(cls).get(name) for name in ("support", "project"))
+        if support:
+
+            @wraps(support)
+            def checked_support(self: Any, z: Any) -> Any:
+                return support(self, vector("z", z, self.dim))
+
+            cls.support = checked_support  # type: ignore[method-assign]
+        if project:
+
+            @wraps(project)
+            def checked_project(self: Any, w: Any) -> Any:
+                return project(self, vector("w", w, self.dim))
+
+            cls.project = checked_project  # type: ignore[method-assign]
 
     # ---- the contract -------------------------------------------------------------------------
 

@@ -79,7 +79,7 @@ class MovingSet(Operators):
         dim: int | None = None,
         histories: Sequence[Callable[[float], Any]] = (),
     ) -> None:
-        if not callable(at) or isinstance(at, Operators):
+        if not callable(at):
             raise InputError(f"at must be a function of t that returns a set, got {shown(at)}")
         if dim is None:  # else it is made in every step
             takes("at", at, "t")

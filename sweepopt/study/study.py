@@ -24,7 +24,7 @@ import numpy as np
 from pandas import DataFrame
 
 from sweepopt.checks import at_path, choice, count, from_table, number
-from sweepopt.errors import InputError, brought_by
+from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
@@ -84,6 +84,8 @@ class Study:
 
     def __post_init__(self) -> None:
         self.runs()
+        if not isinstance(self.title, str):
+            raise InputError(f"title must be text, got {shown(self.title)}")
 
     def runs(self) -> list[Cell]:
         """All combinations, the problem slowest; InputError if a problem's file is gone."""
