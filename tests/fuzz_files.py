@@ -2,22 +2,16 @@
 
 import copy
 import re
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fuzz_inputs import INF, LONG, NAN, made, rarely
+from fuzz_inputs import INF, LONG, NAN, made
 from fuzz_judge import check_run
 from hypothesis import strategies as st
 
-from sweepopt.checks import from_table
 from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
-from sweepopt.loads import Table
-from sweepopt.study import read_study
-from sweepopt.study.hard import option
-from sweepopt.study.hard.velocities import hard_programs
 
 DATA = Path(__file__).parent / "data"
 MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]
@@ -137,7 +131,6 @@ def _places(data):
 
 
 SCENES = st.sampled_from(["tube.toml", "full.toml"])
-STUDIES = st.sampled_from(["accuracy.toml", "hard.toml"])
 
 
 def ask_scene(folder, name, file):
@@ -153,29 +146,7 @@ def ask_scene(folder, name, file):
     check_run(scene.solve(steps=3))
 
 
-def ask_study(folder, name, file):
-    """A study that is read has cells; its problems are found."""
-    damages, changes = file
-    path = damaged(folder, name, damages)
-    data = read_toml(path)
-    if name == "hard.toml":
-        for one in changes:
-            change(data, *one)
-        read = partial(option, hard_programs, "hard.")
-        from_table("hard.", hard_programs, data.get("hard"), read)
-    else:
-        assert read_study(path).runs()
-
-
 # ---- tables, meshes ---------------------------------------------------------------------------
-
-
-def ask_table(folder, damages, column, scale):
-    """A table that is read is finite and increases."""
-    table = Table.from_csv(damaged(folder, "tube_loads.csv", damages), column, scale=scale)
-    assert (np.diff(table.times) > 0).all()
-    assert np.isfinite(table.times).all()
-    assert np.isfinite(table(table.times)).all()
 
 
 def ask_mesh(folder, name, damages):
@@ -187,7 +158,3 @@ def ask_mesh(folder, name, damages):
         assert members.max(initial=0) < mesh.facets.shape[1]
     for members in (mesh.subdomains or {}).values():
         assert members.max(initial=0) < mesh.nelements
-
-
-COLUMNS = rarely(st.just("f2"), st.sampled_from(["f9", "", 3, None, "t", "command"]), 8)
-SCALES = rarely(st.just(1.0), st.sampled_from([NAN, 1e300, "1", None, 10**400, -2]), 8)

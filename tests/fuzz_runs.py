@@ -8,14 +8,11 @@ from fuzz_inputs import (
     INF,
     NAN,
     ODD_NUMBERS,
-    Call,
     Late,
-    Ramp,
     call,
     definite,
     function,
     made,
-    number,
     rarely,
     vector,
 )
@@ -58,22 +55,6 @@ def ask_set(recipe, z, w):
         C.polar()
 
 
-def ask_history(recipe, a, b):
-    """Values are finite and lie within the variation."""
-    phi = made(recipe)
-    start, end = phi(a), phi(b)
-    assert np.isfinite(start).all()
-    assert np.isfinite(end).all()
-    if not hasattr(phi, "variation") or np.ndim(start) or np.ndim(end):
-        return
-    variation, kinks = phi.variation(a, b), phi.breakpoints(a, b)
-    assert np.isfinite(variation)
-    if float(a) < float(b):
-        size = np.abs(start) + np.abs(end)
-        assert variation >= np.abs(end - start) * (1 - 1e-9) - 1e-9 * size
-        assert ((kinks > float(a)) & (kinks < float(b))).all()
-
-
 # ---- problems and runs ----------------------------------------------------------------------
 
 
@@ -96,40 +77,6 @@ def problem(draw, dim=None):
         "cone": rarely(st.none(), st.one_of(shape(dim), ANYTHING), 3),
     }
     return draw(call("EvolutionVI", A, B, u0=u0, **given))
-
-
-@st.composite
-def right_run(draw):
-    """A run with nothing wrong in it: bounded sets, moderate numbers."""
-    dim = draw(st.integers(1, 3))
-    size = st.sampled_from([0.5, 1.0, 2.0])
-    C = st.one_of(
-        call("Ball", vector(dim, False), size),
-        st.tuples(*dim * [size]).map(lambda u: Call("so.Box", so.Box, (tuple(-x for x in u), u))),
-        call("Ellipsoid", vector(dim, False), definite(dim, False)),
-        call("Balls", st.tuples(*dim * [size]), st.just(1)),
-    )
-    center = st.one_of(
-        vector(dim, False).map(lambda v: Ramp(tuple(v))),
-        vector(dim, False).map(
-            lambda v: Call("so.Separable", so.Separable, ([(so.Sine(2.0, 1.5), v)],))
-        ),
-    )
-    process = call(
-        "SweepingProcess",
-        definite(dim, False),
-        st.one_of(st.none(), definite(dim, False)),
-        call("Moving", C, center),
-        vector(dim, False),
-    )
-    choices = {
-        "t_end": [0.5, 1.0, 3.0],
-        "steps": range(1, 7),
-        "scheme": ["auto", "implicit-euler", "midpoint", "sdirk2"],
-        "path": ["auto", "full"],
-        "solver": ["auto", "clarabel"],
-    }
-    return draw(process), {name: draw(st.sampled_from(some)) for name, some in choices.items()}
 
 
 SOLVERS = ["auto", "clarabel", "osqp", "newton", "daqp", "active-set", "cvxpy"]
@@ -180,18 +127,6 @@ def ask_run(recipe, chosen, later=None):
         ask_later(sol, *later)
 
 
-def ask_right(recipe, chosen):
-    """A run with nothing wrong in it agrees with plain cvxpy."""
-    process = made(recipe)
-    sol, reference = (
-        so.solve(process, **(chosen | other)) for other in ({}, {"solver": "cvxpy", "path": "full"})
-    )
-    check_run(sol)
-    assert sol.success
-    size = np.abs(reference.u).max() + np.abs(reference.velocity).max()
-    np.testing.assert_allclose(sol.u, reference.u, rtol=0, atol=1e-5 * size)
-
-
 def later():
     """What is asked of a solution afterwards."""
     times = rarely(st.sampled_from([0.5, [0.0, 1.0], [0.25, 0.75], 1.0]), ANYTHING, 2)
@@ -218,13 +153,6 @@ def ask_later(sol, name, argument):
         assert name == "residual" or np.isfinite(found).all()
 
 
-def ask_field(recipe, t, u, tol):
-    """A velocity at any time and state."""
-    velocity = so.velocity_field(made(recipe), **({} if tol is None else {"tol": tol}))
-    z = velocity(t, u)
-    assert np.isfinite(z).all()
-
-
 def ask_problem(recipe, times):
     """Conversions and constants of a problem."""
     process = made(recipe).as_sweeping()
@@ -236,11 +164,3 @@ def ask_problem(recipe, times):
         assert process.as_vi().as_sweeping().dim == process.dim
     bound = process.velocity_bound(times)
     assert bound.value >= 0
-
-
-def fields():
-    return st.integers(1, 3).flatmap(
-        lambda dim: st.tuples(
-            problem(dim), number(), vector(dim), rarely(st.none(), st.sampled_from(ODD_NUMBERS), 4)
-        )
-    )

@@ -6,7 +6,6 @@ import meshio
 import numpy as np
 import pytest
 import scipy.sparse as sp
-import skfem
 from cases import close_bound
 from meshes import square
 from test_fem import order
@@ -231,12 +230,10 @@ LEFT = Friction("left", 0.5, history=RAMP)
 @pytest.mark.parametrize(
     "more",
     [
-        [],
         [Friction("bottom", 0.4, history=so.Sine(0.4, 0.7, offset=1.0))],
-        [Friction("bottom", 0.3)],
         [Friction(["left", "bottom"], 0.3)],
     ],
-    ids=["alone", "two histories", "beside", "shared"],
+    ids=["two histories", "shared"],
 )
 def test_friction_bounds_with_histories_have_a_guaranteed_error_bound(more):
     effects = [Viscosity(0.1), Elasticity(1.0), LEFT, *more]
@@ -411,33 +408,6 @@ def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
     u = scene.discretisation.expand(sp.linalg.spsolve(scene.problem.B, scene.load(0.0)))
     strain = 0.01 * (1.3 if kind == "plane strain" else 1.0)
     np.testing.assert_allclose(u, strain * scene.discretisation.points, atol=1e-14)
-
-
-@dataclass(frozen=True)
-class Cable:
-    """A dashpot along the line x = at, from a file of a user's own."""
-
-    at: float
-    eta: float
-
-    def contribute(self, body):
-        mesh = body.mesh
-        facets = mesh.facets_satisfying(lambda x: np.isclose(x[0], self.at))
-        if not facets.size:
-            raise so.InputError(f"at: no edge of the mesh lies on x = {self.at:g}")
-        basis = skfem.FacetBasis(mesh, body.basis.elem, facets=facets)
-        mass = skfem.BilinearForm(lambda u, v, w: self.eta * (u[0] * v[0] + u[1] * v[1]))
-        return Contribution(A=body.restrict(mass.assemble(basis)))
-
-
-def test_a_strangers_effect_is_one_record_and_a_line():
-    plate = Discretisation(grid([2.0, 1.0], [4, 2]), "left", kind="plane strain")
-    plain, held = (body(plate, [Viscosity(1.0), *more]) for more in ([], [Cable(1.0, 3.0)]))
-    v = plate.interpolate([lambda x: x[0], lambda x: x[0]])
-    A = held.problem.A - plain.problem.A
-    assert v @ A @ v == pytest.approx(3.0 * 2.0)
-    with pytest.raises(so.InputError, match=r"effects\[1\].at: no edge of the mesh"):
-        body(plate, [Viscosity(1.0), Cable(0.9, 1.0)])
 
 
 @dataclass(frozen=True)

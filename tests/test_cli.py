@@ -15,6 +15,7 @@ from unittest.mock import Mock
 import pytest
 import tqdm.auto
 import xarray as xr
+from matplotlib.figure import Figure
 from meshes import annulus, write_msh
 from PIL import Image
 from processes import python
@@ -77,9 +78,8 @@ def summary_in(folder):
 
 
 @pytest.mark.usefixtures("scene")
-def test_run_writes_every_file_and_says_what_it_will_do_and_did(
-    capsys,
-):
+def test_run_writes_every_file_and_says_what_it_will_do_and_did(monkeypatch, capsys):
+    monkeypatch.setattr("sweepopt.fem.pictures.draw", lambda *_: Figure())
     assert cli.main(["run", "ring.toml"]) == 0
     shown, results = capsys.readouterr(), Path("results/ring")
     for words in (
@@ -111,8 +111,6 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
     files = summary_in(results)["files"]
     found = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
     assert found == {*files, "summary.json"}
-    for name in ("solution.nc", "displacement.png", "contact.png"):
-        assert (results / name).stat().st_size > 20_000
     assert sum(name.endswith(".vtu") for name in files) == 31
     with xr.open_dataset(results / "solution.nc", engine="h5netcdf") as dataset:
         assert dataset.attrs["scene"] == SCENE
@@ -140,6 +138,7 @@ def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty
 def test_a_second_run_replaces_the_first_whole(scene):
     out = Path("out")
     assert run("--steps", "9", picture="contact") == 0
+    assert (out / "contact.png").stat().st_size > 20_000
     (out / "notes.txt").write_text("mine")
     (out / "solution.nc").write_text("broken")
     scene.write_text(BARE)

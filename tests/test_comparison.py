@@ -22,7 +22,7 @@ from sweepopt.study.problems import find_source
 
 @pytest.fixture(scope="module")
 def table():
-    return compare(find_source("P09"), steps=8)
+    return compare(find_source("P09"), steps=4)
 
 
 def test_every_installed_solver_is_compared_at_three_accuracies(table):
@@ -45,7 +45,7 @@ def test_a_solver_is_judged_by_its_certificates_and_not_by_what_it_says():
             solve = super().compile(program)
             return lambda q, C: solve(q, C)._replace(z=np.ones_like(q))
 
-    programs = record(find_source("P09"), 8)
+    programs = record(find_source("P09"), 4)
     assert all(trial.certificate > 1e-3 for trial in trials(Liar(), programs))
     broken = Mock(so.Clarabel, compile=Mock(side_effect=ArithmeticError("no")))
     failures = trials(broken, programs)
@@ -75,7 +75,7 @@ def test_the_comparison_prints_a_line_a_row(table):
 def test_compare_prints_its_table_and_writes_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     make_scene(tmp_path)
-    assert cli.main(["compare", "ring.toml", "--steps", "5", "--csv", "rows.csv"]) == 0
+    assert cli.main(["compare", "ring.toml", "--steps", "2", "--csv", "rows.csv"]) == 0
     shown = capsys.readouterr()
     assert "cvxpy:clarabel" in shown.out
     assert "programs of" in shown.err

@@ -13,7 +13,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pytest
 from browser import chromium, requested
-from processes import python
+from cases import slow
 from selenium.webdriver.common.by import By
 
 import sweepopt as so
@@ -26,6 +26,8 @@ DOCS = ROOT / "docs"
 BLOCK = re.compile(r"^```(?:python|\{code-cell\})\n(.*?)^```", re.DOTALL | re.MULTILINE)
 WRITTEN = [path for path in sorted(DOCS.rglob("*.md")) if not {"gallery", "site"} & {*path.parts}]
 WITH_CODE = [path for path in WRITTEN if BLOCK.search(path.read_text("utf-8"))]
+LONG = ("cookbook", "own_finite_elements")
+"""The code of these pages runs in .ci/run, after the fast tests."""
 
 
 @pytest.fixture(scope="module")
@@ -34,19 +36,16 @@ def pages(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site") / "docs"
     made = shutil.ignore_patterns("gallery", "notebooks", "theory.md", "limits.md")
     shutil.copytree(DOCS, folder, ignore=made)
-    code = f"import sys; sys.path[:0] = {[str(DOCS)]}; import pathlib, gallery as g; "
-    code += f"g.write_pages(pathlib.Path({str(folder)!r}))"
-    python(code)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(DOCS)
+        importlib.import_module("gallery").write_pages(folder)
     return folder
 
 
-@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
-def test_the_code_of_a_page_runs(
-    page,
-    tmp_path,
-    monkeypatch,
-    capsys,
-):
+@pytest.mark.parametrize(
+    "page", [slow(page) if page.stem in LONG else page for page in WITH_CODE], ids=lambda p: p.stem
+)
+def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sweepopt.plot.MOST_FRAMES", 2)  # of animations
     monkeypatch.setattr("sweepopt.fem.pictures.AUTOMATIC", ())

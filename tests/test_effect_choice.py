@@ -23,6 +23,7 @@ from sweepopt.fem import (
     read_scene,
 )
 from sweepopt.fem.contact import slip_of
+from sweepopt.fem.output import Report, write_netcdf
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
@@ -120,7 +121,8 @@ def test_the_table_of_effects_counts_what_is_there():
     assert "without viscosity" not in needed.index
     ratchet = compare_effects("square", changes={"effects.one_way": {"on": "bottom"}}, steps=1)
     assert {"9 intervals, 9 half-lines", "9 half-lines"} <= {*ratchet.sets}
-    ellipses = compare_effects("sheet", changes={"effects.friction.axes": [1.0, 2.0]}, steps=1)
+    axes = {"effects.friction.axes": [1.0, 2.0], "domain.mesh.cells": [4, 3]}
+    ellipses = compare_effects("sheet", changes=axes, steps=1)
     assert ellipses.sets["all effects"].endswith(" ellipses in R^2")
 
 
@@ -163,9 +165,10 @@ def test_an_effect_leaves_what_the_others_add_bitwise_as_it_is():
 
 @pytest.mark.parametrize("name", ["ring", "plate"])
 def test_plasticity_leaves_the_elastic_matrix_bitwise_as_it_is(name):
-    elastic = read_scene(name, without=["plasticity"]).problem.B
-    n = elastic.shape[0]
-    assert np.array_equal(read_scene(name).problem.B[:n, :n].toarray(), elastic.toarray())
+    changes = {"domain.element": "P1"}
+    elastic = read_scene(name, changes=changes, without=["plasticity"]).problem.B
+    n, whole = elastic.shape[0], read_scene(name, changes=changes).problem.B
+    assert np.array_equal(whole[:n, :n].toarray(), elastic.toarray())
 
 
 def test_absent_effects_import_no_solver():
@@ -177,7 +180,7 @@ def test_absent_effects_import_no_solver():
     assert python(code).stdout == "[]\n"
 
 
-SMALL = (1e-3, 1e-4, 1e-5)
+SMALL = (1e-3, 1e-5)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +194,7 @@ SMALL = (1e-3, 1e-4, 1e-5)
 )
 def test_a_vanishing_effect_is_an_absent_one(path, changes, without):
     """|u - u_0| is proportional to the coefficient, and small."""
-    settings = {"steps": 20, "tol": 1e-12}
+    settings = {"steps": 10, "tol": 1e-12}
     bare = read_scene("square", without=without).solve(**settings).u
     errors = [
         abs(read_scene("square", changes={path: change}).solve(**settings).u - bare).max()
@@ -244,7 +247,7 @@ BOUNDS = {
 
 
 @pytest.mark.parametrize(
-    "name, most", [("at rest", 128), ("slip", 64), *(slow(name, 128) for name in [*BOUNDS][1:])]
+    "name, most", [("at rest", 128), ("slip", 32), *(slow(name, 128) for name in [*BOUNDS][1:])]
 )
 def test_steps_end_at_breakpoints_of_loads_whatever_the_bound_of_friction_does(name, most):
     """The second order is the scheme's; the slope varies with where in a step nodes stop."""
@@ -258,7 +261,7 @@ def test_steps_end_at_breakpoints_of_loads_whatever_the_bound_of_friction_does(n
     assert np.polyfit(range(len(sizes)), np.log2(errors), 1)[0] < -1.85, errors
     # without the breakpoints 1.46e-3 to 1.6e-3, and 1.5e-4 to 2.2e-4
     assert errors[0] < 1.4e-3, errors
-    assert errors[2] < 9e-5, errors
+    assert len(sizes) < 3 or errors[2] < 9e-5, errors
 
 
 def test_steps_end_where_the_rate_of_a_prescribed_displacement_jumps():
@@ -284,70 +287,56 @@ def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused():
             scene.solve()
 
 
-def test_a_scene_starts_where_a_run_of_it_has_ended(tmp_path):
-    """From files with all unknowns, and from what the command writes; bit for bit."""
-    scene = read_scene("square")
-    half = scene.solve(t_end=2.0, steps=30, save=tmp_path / "run.nc")
+BRANCH = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
+
+
+def start(path, changes):
+    return changes | {"initial": {"run": str(path)}}
+
+
+@pytest.mark.parametrize("changes", [{}, BRANCH], ids=["body", "branch"])
+def test_a_scene_starts_where_a_run_of_it_has_ended(changes, tmp_path):
+    """From files with all unknowns, and from that of a scene; bit for bit."""
+    scene = read_scene("square", changes=changes)
+    half = scene.solve(t_end=2.0, steps=8, save=tmp_path / "run.nc")
     half.save(tmp_path / "kept.nc")
-    options = ["--no-progress", "--out", str(tmp_path / "out"), "--set", "time.end=2.0"]
-    assert cli.main(["run", "square", *options, "--steps", "30"]) == 0
-    for name in ("run.nc", "kept.nc", "out/solution.nc"):
-        start = {"initial": {"run": str(tmp_path / name)}}
-        assert np.array_equal(read_scene("square", changes=start).problem.u0, half.u[-1]), name
-    other = {"initial": {"run": str(tmp_path / "run.nc")}}
-    with pytest.raises(InputError, match=r"initial.run: .* 72 unknowns of .*, the scene 54 of u"):
-        read_scene(SOLID, changes=other)
-    other = {"initial": {"run": str(tmp_path / "out" / "solution.nc")}}
-    with pytest.raises(InputError, match=r"initial.run: .* 72 unknowns of u, the scene 54"):
-        read_scene(SOLID, changes=other)
+    write_netcdf(Report(scene, half), tmp_path / "solution.nc")
+    for name in ("run.nc", "kept.nc", "solution.nc"):
+        again = read_scene("square", changes=start(tmp_path / name, changes))
+        assert np.array_equal(again.problem.u0, half.u[-1]), name
 
 
-def test_a_run_of_a_body_with_internal_unknowns_needs_all_of_them(tmp_path):
-    branch = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
-    run = read_scene("square", changes=branch).solve(t_end=1.0, steps=20, save=tmp_path / "run.nc")
-    start = branch | {"initial": {"run": str(tmp_path / "run.nc")}}
-    assert np.array_equal(read_scene("square", changes=start).problem.u0, run.u[-1])
-    run.save(tmp_path / "kept.nc")
-    start["initial"] = {"run": str(tmp_path / "kept.nc")}
-    assert np.array_equal(read_scene("square", changes=start).problem.u0, run.u[-1])
-    with pytest.raises(
-        InputError, match=r"144 unknowns of u, maxwell, the scene 144 of u, maxwell\[0\]"
-    ):
-        read_scene("square", changes=start | {"effects": _listed_branch()})
+PLANE = {
+    "domain": FLAT["domain"] | {"kind": "plane strain"},
+    "time": {"end": 1.0, "steps": 2},
+    "effects": {"viscosity": {"eta": 1.0}},
+}
 
 
-def test_a_run_of_the_command_has_internal_unknowns_and_other_meshes_are_refused(
-    tmp_path,
-):
-    options = [
-        "--no-progress",
-        "--out",
-        str(tmp_path),
-        "--set",
-        "effects.maxwell={tau=0.5, kappa=1}",
-    ]
-    assert cli.main(["run", "square", *options, "--steps", "20"]) == 0
-    branch = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
-    start = {"initial": {"run": str(tmp_path / "solution.nc")}}
-    scene = read_scene("square", changes=branch | start)
-    assert np.array_equal(
-        scene.problem.u0, read_scene("square", changes=branch).solve(steps=20).u[-1]
-    )
-    with pytest.raises(InputError, match=r"unknowns of u, maxwell, the scene \d+ of u; take"):
-        read_scene("square", changes=start)
-    scene.solve(t_end=1.0, steps=2, save=tmp_path / "run.nc")
+def test_a_run_of_another_scene_is_no_start(tmp_path):
+    listed = {"effects": {"viscosity": {"eta": 1.0}, "maxwell": [BRANCH["effects.maxwell"]]}}
     narrow = {"sizes": [1.0, 0.5], "cells": [8, 8]}
     sheet = {"domain.mesh": narrow, "domain.refinements": 0, "effects.friction.g": 0.0}
-    start = {"initial": {"run": str(tmp_path / "run.nc")}}
-    with pytest.raises(InputError, match=r"run.nc is of another mesh"):
-        read_scene("square", changes=branch | sheet | start)
-
-
-def _listed_branch():
-    return {
-        "viscosity": {"eta": 1.0},
-        "maxwell": [{"tau": 0.5, "kappa": 1.0}],
-    }
+    for source, changes, others in (
+        (
+            "square",
+            BRANCH,
+            [
+                ("square", listed, r"144 unknowns of u, maxwell, the scene 144 of u, maxwell\[0\]"),
+                ("square", {}, r"unknowns of u, maxwell, the scene \d+ of u; take"),
+                ("square", BRANCH | sheet, r"is of another mesh"),
+                (SOLID, {}, r"144 unknowns of u, maxwell, the scene 54 of u"),
+            ],
+        ),
+        (PLANE, {}, [(FLAT, {}, r"24 unknowns of u, the scene 12 of u")]),
+    ):
+        scene = read_scene(source, changes=changes)
+        run = scene.solve(t_end=1.0, steps=2, save=tmp_path / "run.nc")
+        write_netcdf(Report(scene, run), tmp_path / "solution.nc")
+        for name in ("run.nc", "solution.nc"):
+            for other, more, words in others:
+                with pytest.raises(InputError, match=rf"initial.run: .*{words}"):
+                    read_scene(other, changes=start(tmp_path / name, more))
 
 
 def test_a_start_is_a_formula_of_each_component(tmp_path):
@@ -361,29 +350,3 @@ def test_a_start_is_a_formula_of_each_component(tmp_path):
     assert np.allclose(start[~held], expected[~held], atol=1e-16)
     by_hand = body(space, scene.effects, u0=Initial(parts))
     assert np.array_equal(by_hand.problem.u0, scene.problem.u0)
-
-
-def test_a_run_of_another_kind_of_body_on_the_same_mesh_is_refused(tmp_path):
-    flat = FLAT | {"initial": {"run": str(tmp_path / "solution.nc")}}
-    assert cli.main(["run", _file(tmp_path, PLANE), "--no-progress", "--out", str(tmp_path)]) == 0
-    with pytest.raises(InputError, match=r"initial.run: .* 24 unknowns of u, the scene 12 of u"):
-        read_scene(flat)
-
-
-PLANE = """
-[domain]
-mesh = { sizes = [1.0, 1.0], cells = [3, 3] }
-clamped = "top"
-kind = "plane strain"
-[time]
-end = 1.0
-steps = 2
-[effects.viscosity]
-eta = 1.0
-"""
-
-
-def _file(folder, text):
-    path = folder / "scene.toml"
-    path.write_text(text, encoding="utf-8")
-    return str(path)

@@ -111,14 +111,6 @@ def with_friction(mesh, clamped, on, g=1.0, element="P1"):
     return antiplane(mesh, clamped=clamped, element=element, effects=effects)
 
 
-@pytest.mark.parametrize("element, expected, ceiling", [("P1", 2, 1e-2), ("P2", 4, 1e-7)])
-def test_friction_weights_on_curved_edges_converge_to_the_length(element, expected, ceiling):
-    scenes = [with_friction(annulus(n), "inner", "outer", element=element) for n in (2, 4, 8, 16)]
-    errors = [abs(scene.contact.weight.sum() - 4 * np.pi) for scene in scenes]
-    assert np.all(order(errors) > expected - 0.1)
-    assert errors[-1] < ceiling
-
-
 @pytest.mark.parametrize("element, expected", [("P1", 2), ("P2", 4)])
 def test_the_dissipation_is_the_lumped_functional_and_has_its_stated_order(element, expected):
     errors = []
@@ -199,8 +191,8 @@ def annulus_field(alpha, beta):
 @pytest.mark.parametrize(
     "element, rings, orders, ceilings",
     [
-        ("P1", (2, 4, 8, 16), (2, 1), (1.6e-3, 5.2e-2)),
-        ("P2", (2, 4, 8, 16), (3, 2), (4.1e-6, 4.4e-4)),
+        ("P1", (2, 4, 8), (2, 1), (6.0e-3, 0.102)),
+        ("P2", (2, 4, 8), (3, 2), (3.2e-5, 1.7e-3)),
     ],
 )
 def test_annulus_with_curved_elements_converges_in_u_and_velocity(element, rings, orders, ceilings):
@@ -233,8 +225,6 @@ ZONE = {  # u(x, 0, t) at x = 0, 0.25, 0.5, 0.75, to about 3e-8
     3: (0.582964023, 0.488693609, 0.265210891, 0.057056287),
     4: (0.217491926, 0.201987253, 0.149929996, 0.052942727),
 }
-SLIPPING = {0.4: 0.27, 0.8: 0.73, 1.2: 0.89, 1.6: 0.94, 2.0: 0.81, 2.4: 0, 2.8: 0}
-REVERSED = {3.2: 0.40, 3.6: 0.68, 4.0: 0.82}
 
 
 def zone_run(n, element, steps):
@@ -268,17 +258,6 @@ def test_a_spreading_and_reversing_slip_zone(element, sizes, steps, at_end, ever
     assert np.all(last <= at_end), last
     assert max(errors[-1].values()) <= everywhere, errors[-1]
     assert np.mean(order(last)) > rate, order(last)
-
-
-def test_the_slipping_share_of_the_contact_follows_the_reference():
-    scene, sol, _ = zone_run(32, "P1", 400)
-    weight = scene.contact.weight
-    velocity = sol.velocity[:, scene.contact.unknown]
-    for t, share in (SLIPPING | REVERSED).items():
-        step = velocity[round(100 * t) - 1]
-        moving = step < 0 if t in REVERSED else step > 0
-        assert np.sum(weight[step != 0]) == np.sum(weight[moving]), t
-        assert np.sum(weight[moving]) == pytest.approx(share, abs=0.035), t
 
 
 # ---- refined meshes ----------------------------------------------------------------------------
@@ -369,20 +348,6 @@ def test_binary_files_and_text_files_hold_the_same_mesh(version):
         groups, others = getattr(text, kind), getattr(binary, kind)
         assert len(groups) == len(others) >= 2
         assert all(np.array_equal(groups[name], others[name]) for name in groups)
-
-
-def test_meshes_of_other_formats_are_read(tmp_path):
-    section = annulus(2)
-    triangles = meshio.Mesh(
-        section.doflocs[:, : section.nvertices].T,
-        [("triangle", section.t.T), ("line", section.facets[:, section.boundaries["outer"]].T)],
-        cell_data={"gmsh:physical": [np.full(section.nelements, 3), np.full(18, 7)]},
-    )
-    meshio.write(tmp_path / "ring.vtu", triangles)
-    mesh = read_mesh(tmp_path / "ring.vtu")
-    assert mesh.nelements == section.nelements
-    assert {name: len(edges) for name, edges in mesh.boundaries.items()} == {"7": 18}
-    assert {name: len(cells) for name, cells in mesh.subdomains.items()} == {"3": mesh.nelements}
 
 
 def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups():

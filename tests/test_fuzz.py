@@ -2,14 +2,14 @@
 
 Each input ends in time in a finite, certified answer that satisfies the laws, or in a SweepoptError
 with a message. No other exception, no warning of numpy, no nan. What a user's own function raises
-passes through as it is. 500 inputs here, the same every time; `-m slow` draws 10,000 new ones.
+passes through as it is. 200 inputs here, the same every time; `-m slow` draws 10,000 new ones.
 """
 
 import fuzz_files as files
 import fuzz_runs as runs
 import pytest
 from cases import slow
-from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
+from fuzz_inputs import ANYTHING, made, rarely, vector
 from fuzz_judge import Hang, judge
 from fuzz_sets import convex, moving
 from hypothesis import HealthCheck, given, settings
@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 POINTS = st.integers(1, 4).flatmap(
     lambda dim: st.tuples(rarely(convex(dim), moving(dim), 5), vector(dim), vector(dim))
 )
-TIMES = rarely(st.sampled_from([0.0, 1.0, 2.5]), st.sampled_from(ODD_NUMBERS), 6)
 GRID = rarely(st.just([0.0, 0.5, 1.0]), ANYTHING, 5)
 RUN = st.tuples(runs.problem(), runs.options(), st.none())
 LATER = st.tuples(runs.problem(), runs.options(), runs.later())
@@ -29,21 +28,16 @@ FILE = st.one_of(
     st.tuples(files.DAMAGES, st.just([])),
     st.tuples(st.just([]), files.CHANGES),
 )
-# name: (inputs of 500, what is drawn, what is asked of it)
+# name: (inputs of 200, what is drawn, what is asked of it)
 TARGETS = {
-    "sets": (90, POINTS, runs.ask_set),
-    "histories": (40, st.tuples(history(), TIMES, TIMES), runs.ask_history),
-    "problems": (40, st.tuples(runs.problem(), GRID), runs.ask_problem),
-    "runs": (80, RUN, runs.ask_run),
-    "solutions": (30, LATER, runs.ask_run),
-    "adaptive": (10, ADAPTIVE, runs.ask_run),
-    "fields": (20, runs.fields(), runs.ask_field),
-    "scenes": (60, st.tuples(files.SCENES, FILE), files.ask_scene),
-    "studies": (20, st.tuples(files.STUDIES, FILE), files.ask_study),
-    "tables": (35, st.tuples(files.DAMAGES, files.COLUMNS, files.SCALES), files.ask_table),
-    "meshes": (40, st.tuples(st.sampled_from(files.MESHES), files.DAMAGES), files.ask_mesh),
+    "sets": (45, POINTS, runs.ask_set),
+    "problems": (20, st.tuples(runs.problem(), GRID), runs.ask_problem),
+    "runs": (40, RUN, runs.ask_run),
+    "solutions": (15, LATER, runs.ask_run),
+    "adaptive": (5, ADAPTIVE, runs.ask_run),
+    "scenes": (30, st.tuples(files.SCENES, FILE), files.ask_scene),
+    "meshes": (20, st.tuples(st.sampled_from(files.MESHES), files.DAMAGES), files.ask_mesh),
 }
-RIGHT_RUNS = 15
 
 
 def profile(inputs, times):
@@ -64,7 +58,7 @@ def folder(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("times", [1, slow(20)])
+@pytest.mark.parametrize("times", [1, slow(40)])
 @pytest.mark.parametrize("name", TARGETS)
 def test_bad_input_gets_an_error_of_ours_or_a_right_answer(name, times, folder, monkeypatch):
     monkeypatch.chdir(folder)  # a checkpoint may be written where a hostile word names a file
@@ -87,13 +81,3 @@ def test_bad_input_gets_an_error_of_ours_or_a_right_answer(name, times, folder, 
 
     holds()
     assert asked >= inputs * times
-
-
-@pytest.mark.parametrize("times", [1, slow(20)])
-def test_right_input_gets_a_right_answer(times):
-    @profile(RIGHT_RUNS, times)
-    @given(runs.right_run())
-    def holds(arguments):
-        judge(lambda: runs.ask_right(*arguments), right=True)
-
-    holds()

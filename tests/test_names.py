@@ -38,40 +38,40 @@ def test_dir_has_the_public_names_and_each_of_them_is_there():
         so.solv  # noqa: B018
 
 
-def test_help_of_what_the_readme_names_needs_no_import_of_it():
-    assert "[effects.friction]" in fresh("import sweepopt; help(sweepopt.fem.read_scene)")
-    lines = (so.fem.read_scene.__doc__ or "").partition("All effects")[2].splitlines()
+def test_help_and_rooms_are_there_whatever_is_imported_before():
+    code = "import sweepopt.driver, sweepopt as so; help(so.fem.read_scene); "
+    shown, _, last = fresh(code + "print(so.solve, so.study, so.plot)").rpartition("\n")
+    assert "function" in last
+    assert "sweepopt.study" in last
+    assert "[effects.friction]" in shown
+    lines = shown.partition("All effects")[2].splitlines()
     keys = {words[0]: words[1:] for line in lines if (words := line.split())}
     for name, effect in so.fem.EFFECTS.items():
         assert [key.strip("[],") for key in keys[name]] == list(signature(effect).parameters)
     assert "SweepingProcess" in pydoc.render_doc(so)
 
 
-def test_solve_is_the_function_and_rooms_are_there_whatever_is_imported_before():
-    code = "import sweepopt.driver, sweepopt as so; print(so.solve, so.study, so.plot)"
-    shown = fresh(code)
-    assert "function" in shown
-    assert "sweepopt.study" in shown
-
-
-@pytest.mark.parametrize("package, extra", [("skfem", "fem"), ("plotly", "study")])
-def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone(package, extra):
+def test_missing_extras_are_named_and_leave_dir_and_help_alone():
+    extras = {"fem": "skfem", "study": "plotly"}
     code = f"""if True:
         import sys, pydoc
-        sys.modules["{package}"] = None
+        sys.modules |= dict.fromkeys({[*extras.values()]})
         import sweepopt as so
-        assert not hasattr(so, "{extra}")
-        pydoc.render_doc(so)
-        try:
-            so.{extra}
-        except AttributeError as error:
-            print(error)
         from sweepopt.cli import main
-        main(["study", "mesh"] if "{extra}" == "study" else ["run", "tube"])
+        pydoc.render_doc(so)
+        for extra in {[*extras]}:
+            assert not hasattr(so, extra)
+            try:
+                getattr(so, extra)
+            except AttributeError as error:
+                print(error)
+        main(["run", "tube"]), main(["study", "mesh"])
     """
     shown = python(code)
-    for words in (shown.stdout, shown.stderr.removeprefix("sweepopt: ")):
-        assert words.startswith(f"{package} is not installed; run: ")
+    for text in (shown.stdout, shown.stderr):
+        for package, line in zip(extras.values(), text.splitlines(), strict=True):
+            words = line.removeprefix("sweepopt: ")
+            assert words.startswith(f"{package} is not installed; run: ")
 
 
 def test_scenes_are_listed_and_read_by_name():

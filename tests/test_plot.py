@@ -4,7 +4,6 @@ import math
 from itertools import pairwise
 from unittest.mock import Mock
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from cases import slow
@@ -237,25 +236,22 @@ def test_two_unknowns_are_drawn_as_a_path_beside_the_set():
     assert len(force.lines) == 6
 
 
-@pytest.mark.parametrize("shape", ["lens", "constraints", "half-plane"])
-def test_a_set_in_the_legend_is_drawn_and_one_without_an_outline_is_not_there(shape):
-    disc = so.Ball([0.0, 0.0], 1.0)
-    C = {
-        "lens": disc & so.Ball([0.6, 0.0], 1.0),
-        "constraints": so.Constraints(2, lambda w: [cp.norm(w) <= 1, cp.norm(w - [0.6, 0]) <= 1]),
-        "half-plane": so.HalfSpace([1.0, 0.0], 0.5),
-    }[shape]
+LENS = so.Ball([0.0, 0.0], 1.0) & so.Ball([0.6, 0.0], 1.0)
+
+
+@pytest.mark.parametrize("C, sets", [(LENS, 2), (so.HalfSpace([1.0, 0.0], 0.5), 0)])
+def test_a_set_in_the_legend_is_drawn_and_one_without_an_outline_is_not_there(C, sets):
     process = so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0])
     panel = so.solve(process, t_end=1.0, steps=2).plot().figure.axes[1]
     drawn = [np.transpose(line.get_data()) for line in panel.lines[1:]]
-    assert len(panel.get_legend().get_texts()) == len(drawn) + 1 == (1 if "half" in shape else 3)
+    assert len(panel.get_legend().get_texts()) == len(drawn) + 1 == sets + 1
     for points in drawn:
         from_centres = np.hypot(*points.T), np.hypot(*(points - [0.6, 0.0]).T)
         np.testing.assert_allclose(np.maximum(*from_centres), 1.0, atol=2e-3)
         np.testing.assert_allclose(np.ptp(points, axis=0), [1.4, 2 * np.sqrt(0.91)], atol=2e-3)
 
 
-@pytest.mark.parametrize("dim", [1, slow(2), 3])
+@pytest.mark.parametrize("dim", [1, slow(2)])
 def test_an_animation_shows_each_time_once(dim, tmp_path, monkeypatch):
     monkeypatch.setattr(plot, "MOST_FRAMES", 3)
     path = stick_slip(dim).animate(tmp_path / "run.gif")
@@ -442,10 +438,8 @@ def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):
     "end, unit, seconds",
     [
         (5e-4, " \N{MICRO SIGN}s", 1e-6),
-        (0.5, " ms", 1e-3),
         (10.0, " s", 1.0),
         (7200.0, " h", 3600.0),
-        (2e5, " d", 86400.0),
         (1e11, " yr", 365.25 * 86400.0),
     ],
 )

@@ -46,7 +46,7 @@ def test_the_flux_of_the_pipe_converges_to_the_formula():
 
 
 @SUDDEN
-@pytest.mark.parametrize("phi", [0.1, 0.24, 0.5, 0.67, 0.8, 0.85, 0.9])
+@pytest.mark.parametrize("phi", [0.1, 0.5, 0.9])
 def test_the_flux_and_the_plug_of_the_pipe_agree_with_the_formulas(phi):
     P = 2 * G / (phi * R)
     scene, z = steady("pipe", P)
@@ -59,11 +59,10 @@ def test_the_flux_and_the_plug_of_the_pipe_agree_with_the_formulas(phi):
 
 
 @SUDDEN
-@pytest.mark.parametrize("refinements", [1, 2])
-def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh(refinements):
-    limit, h = 2 * G / R, 0.06 / 2**refinements  # width of the ring at the wall, in radii
+def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh():
+    limit, h = 2 * G / R, 0.06 / 2  # width of the ring at the wall, in radii
     for P, moves in ((limit, False), (1.002 * limit * (1 + 0.53 * h), True)):
-        assert steady("pipe", P, refinements=refinements)[1].any() == moves
+        assert steady("pipe", P, refinements=1)[1].any() == moves
 
 
 @SUDDEN

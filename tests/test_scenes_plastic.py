@@ -18,6 +18,9 @@ def isotropic(modulus):
     return {"effects.plasticity.Hk": 0.0, "effects.plasticity.Hi": modulus}
 
 
+known = cache(read_scene)
+
+
 def at_point(scene, solution, point):
     space = scene.discretisation
     node = np.argmin(np.linalg.norm(space.points - point, axis=1))
@@ -31,7 +34,7 @@ RING = {20: 0.006869859, 22: 0.044179585, 44: 0.039493079, 66: -0.044175687}
 
 
 def test_the_thick_ring_agrees_with_an_independent_code_over_a_cycle():
-    scene = read_scene("ring")
+    scene = known("ring")
     sol = scene.solve()
     assert sol.plan.path == "return mapping", "chosen where internal variables are many"
     assert sol.stats["relative"].max() <= 1e-10
@@ -41,7 +44,7 @@ def test_the_thick_ring_agrees_with_an_independent_code_over_a_cycle():
 
 def test_hardening_matters_only_where_the_ring_yields_back():
     modulus = 70e9 * 0.7e9 / (70e9 - 0.7e9)
-    both = [read_scene("ring"), read_scene("ring", changes=isotropic(modulus))]
+    both = [known("ring"), read_scene("ring", changes=isotropic(modulus))]
     runs = [scene.solve(t_end=2.8, steps=28) for scene in both]
     assert max(run.stats["relative"].max() for run in runs) <= 1e-10
     one, other = (
@@ -76,13 +79,14 @@ def test_the_plate_agrees_with_an_independent_code_in_plane_strain():
 
 
 @pytest.mark.parametrize(
-    "refinements, elastic, plastic", [(0, 148.5, 151.5), slow(1, 147.8, 148.8)]
+    "changes, elastic, plastic",
+    [({}, 148.5, 151.5), slow({"domain.refinements": 1}, 147.8, 148.8)],
 )
 def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor(
-    refinements, elastic, plastic
+    changes, elastic, plastic
 ):
     """At 450 / 3.03 = 148.5 MPa; each mesh between two tensions, which close in on that."""
-    scene = read_scene("plate", changes={"domain.refinements": refinements})
+    scene = read_scene("plate", changes=changes) if changes else known("plate")
     below, above = (
         scene.plastic_strain(scene.solve(t_end=tension / 420, steps=1))[1]
         for tension in (elastic, plastic)
@@ -96,7 +100,7 @@ def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_fact
 
 @cache
 def pulled_plate():
-    scene = read_scene("plate")
+    scene = known("plate")
     return scene, scene.solve(t_end=1.0, steps=4)
 
 
@@ -112,8 +116,7 @@ def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path):
     assert dataset_of(report).plastic_strain.values == pytest.approx(strain)
     files = write_vtu(report, tmp_path)
     assert meshio.read(files[-1]).cell_data["plastic_strain"][0] == pytest.approx(strain[-1])
-    for picture in scene.pictures:
-        assert scene.plot(sol, picture).axes
+    assert scene.plot(sol, "stress").axes
 
 
 def test_an_effect_of_ones_own_adds_its_part_to_the_stress_or_leaves_it_open():
@@ -138,11 +141,8 @@ def test_an_effect_of_ones_own_adds_its_part_to_the_stress_or_leaves_it_open():
     assert stress_with(None) is None
 
 
-@pytest.mark.parametrize("hardening", [{}, isotropic(1e10)], ids=["kinematic", "isotropic"])
-def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(
-    hardening, tmp_path
-):
-    hardening = hardening | {"domain.element": "P1"}
+def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(tmp_path):
+    hardening = isotropic(1e10) | {"domain.element": "P1"}
     scene = read_scene("plate", changes=hardening)
     whole, first = scene.solve(t_end=2.0, steps=4), scene.solve(t_end=1.0, steps=2)
     write_netcdf(Report(scene, first), tmp_path / "solution.nc")
