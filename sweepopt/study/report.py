@@ -129,12 +129,12 @@ def readable(cells: DataFrame, *columns: str) -> DataFrame:
     return shown[[*SETTINGS, "relative error", "ms", *columns]]
 
 
-def summary(table: DataFrame) -> str:
+def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
     """The advice as text, and the failures below."""
     failures = table[~table.success].status.value_counts()
     unknown = int((table.success & table.error.isna()).sum())
-    chosen = readable(advice(table), "target")
-    words = chosen.to_string(**FORMAT) if len(chosen) else f"no run meets {max(TARGETS):g}"
+    chosen = readable(advice(table, targets), "target")
+    words = chosen.to_string(**FORMAT) if len(chosen) else f"no run meets {max(targets):g}"
     lines = ["the fastest way to each relative error", words, ""]
     lines += ["factor of the time for half the error, from the best runs on"]
     lines += [readable(halving(table), "cheapest", *AXES).to_string(**FORMAT)]
