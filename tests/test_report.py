@@ -12,7 +12,7 @@ from study_table import NASTY, study_table
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
-from sweepopt.study.diagram import COSTS
+from sweepopt.study.diagram import COSTS, UNKNOWN
 from sweepopt.study.hard.stiff import StiffRow
 from sweepopt.study.hard.velocities import HardRow
 from sweepopt.study.problems import problem
@@ -108,7 +108,7 @@ def test_the_diagrams_hold_the_numbers_of_the_table(browser):
             for trace in traces
         )
     drawn = [trace["name"] for trace in traces for _ in trace["x"]]
-    assert (drawn.count("failed"), drawn.count("error not known")) == (5, 2)
+    assert (drawn.count("failed"), drawn.count(UNKNOWN)) == (5, 2)
     assert len(drawn) - drawn.count("guaranteed bound") == len(table)
 
 
