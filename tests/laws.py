@@ -5,9 +5,10 @@ constraints on w, which share no code with the library: that is what the laws co
 """
 
 import warnings
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import cvxpy as cp
 import numpy as np
@@ -525,6 +526,21 @@ ZOO = {
     "polar of a polyhedral cone": Cone(polar_of(vertex_cone)),
     "polar of the second-order cone": Cone(polar_of(second_order_cone)),
 }
+
+
+@cache
+def kinds():
+    """The names of the zoo; those of one class, with flat or with curved faces, are one kind."""
+    found = defaultdict(list)
+    for name, entry in ZOO.items():
+        C = entry.sample(0).C
+        found[type(C), C.polyhedral].append(name)
+    return [*found.values()]
+
+
+def of_each_kind(turn):
+    """A set of each kind, another one of it at each turn."""
+    return [names[turn % len(names)] for names in kinds()]
 
 
 # ---- laws -------------------------------------------------------------------------------------

@@ -43,7 +43,9 @@ def work(sol):
     return len(sol.plan.scheme.b) * sum(one.steps for one in sol.passes)
 
 
-@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize(
+    "name", [slow(name) if name in ("M16", "M17", "E20") else name for name in SETS]
+)
 def test_the_tolerance_is_met(name):
     tol = 1e-3
     sol = run(name, so.Adaptive(tol))
@@ -54,7 +56,7 @@ def test_the_tolerance_is_met(name):
 
 
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "trapezoid", "sdirk2"])
-@pytest.mark.parametrize("name", ["S03", "P09"])
+@pytest.mark.parametrize("name", ["S03", slow("P09")])
 def test_every_scheme_meets_the_tolerance(name, scheme):
     tol = 1e-2 if scheme in ("catching-up", "implicit-euler") else 1e-4
     sol = run(name, so.Adaptive(tol), scheme=scheme, on_unstable="ignore")
@@ -91,6 +93,7 @@ def error_of(sol, process=None):
     return max(map(process.metric.norm, sol.u - exact(sol.t)))
 
 
+@pytest.mark.slow
 def test_estimates_that_rise_for_a_pass_or_two_end_no_run():
     """Of this run six estimates alternate between 1.4 and 3.3 tol, while the error falls."""
     assert max(random_errors(30, 1.0, "catching-up", [1e-2])) <= FACTOR
@@ -125,8 +128,8 @@ SLOW = [
 @pytest.mark.parametrize(
     "A, scheme, seeds, least",
     [
-        (1.0, "sdirk2", 5, 4e-3),
-        (0.0, "sdirk2", 5, 4e-3),
+        (1.0, "sdirk2", 3, 4e-3),
+        (0.0, "sdirk2", 3, 4e-3),
         *(slow(*each, 32, 1e-3) for each in SLOW),
     ],
 )
@@ -142,16 +145,16 @@ def test_nine_of_ten_random_processes_meet_the_tolerance_and_none_is_far_from_it
     "periods, B, load",
     [
         (4, 1.0, "function"),
-        (16, 0.01, "data"),
-        (16, 0.01, "function"),
-        (33, 1.0, "data in a set made of another"),
+        (16, 0.01, "data in a set made of another"),
+        slow(16, 0.01, "function"),
+        slow(33, 1.0, "data in a set made of another"),
         slow(64, 0.01, "function"),
     ],
 )
 def test_a_sine_that_is_sampled_at_its_zeros_is_seen(periods, B, load):
     wave, box = so.Sine(2.0, 8.0 / periods), so.Box(-1, 1)
     moved = {
-        "data": so.Moving(box, wave),
+        "data": so.Moving(box, wave),  # by which errors are known
         "data in a set made of another": -so.Moving(box, so.Sine(-2.0, 8.0 / periods)),
         "function": so.Moving(box, lambda t: wave(t)),
     }
@@ -208,12 +211,12 @@ def test_a_short_burst_in_a_long_hold_takes_far_fewer_steps_than_equal_ones():
 def test_breakpoints_and_requested_times_are_hit_exactly():
     wanted = [0.1, 2 / 3, math.pi, 8.9]
     for name, breakpoints in (("B15", {3.0, 6.0}), ("E20", {2.0, 6.0})):
-        sol = run(name, so.Adaptive(1e-3), save=wanted)
+        sol = run(name, so.Adaptive(1e-2), save=wanted)
         assert sol.t.tolist() == [0.0, *wanted, problem(name).t_end]
         assert breakpoints <= set(sol.stats["t"].tolist())
 
 
-@pytest.mark.parametrize("name, tol", [("S03", 1e-3), ("M16", 1e-2), ("P09", 1e-3)])
+@pytest.mark.parametrize("name, tol", [("S03", 1e-3), ("M16", 1e-2)])
 def test_the_result_is_the_run_over_its_grid_bit_for_bit(name, tol):
     sol = run(name, so.Adaptive(tol))
     again = run(name, sol.t, scheme=sol.plan.scheme.name, path=sol.plan.path, tol=sol.plan.tol)
@@ -227,17 +230,18 @@ def test_the_result_is_the_run_over_its_grid_bit_for_bit(name, tol):
 def test_a_callback_a_function_and_a_file_see_each_step_of_the_last_pass_once(
     tmp_path,
 ):
-    plain, seen = run("S03", so.Adaptive(1e-3)), []
-    sol = run("S03", so.Adaptive(1e-3), callback=lambda info: seen.append(info.t))
+    steps, seen = so.Adaptive(1e-2), []
+    plain = run("S03", steps)
+    sol = run("S03", steps, callback=lambda info: seen.append(info.t))
     assert seen == plain.t[1:].tolist()
     assert np.array_equal(sol.u, plain.u)
-    sol = run("S03", so.Adaptive(1e-3), save=lambda t, u, z: t)
+    sol = run("S03", steps, save=lambda t, u, z: t)
     assert sol.recorded == seen
-    sol = run("S03", so.Adaptive(1e-3), save=tmp_path / "run.nc")
+    sol = run("S03", steps, save=tmp_path / "run.nc")
     assert np.array_equal(sol.u, plain.u)
-    sol = run("S03", so.Adaptive(1e-3), save=10, progress=True)
+    sol = run("S03", steps, save=10, progress=True)
     assert np.array_equal(sol.t[1:-1], plain.t[10::10][: len(sol.t) - 2])
-    sol = run("S03", so.Adaptive(1e-3), callback=lambda info: info.t > 2)
+    sol = run("S03", steps, callback=lambda info: info.t > 2)
     assert sol.status is so.Status.STOPPED
 
 
@@ -418,7 +422,7 @@ def test_many_copies_of_a_body_take_the_steps_of_one():
     assert sol.passes[-1].steps == one.passes[-1].steps
 
 
-@pytest.mark.parametrize("t_end, points", [(10.0, 100), (4.0, 400)])
+@pytest.mark.parametrize("t_end, points", [(10.0, 100), slow(4.0, 400)])
 def test_a_smooth_dense_table_takes_as_many_steps_as_the_curve_that_it_samples(t_end, points):
     wave, t = so.Sine(3.0, period=2.5), np.linspace(0.0, t_end, points + 1)
     work_of = []

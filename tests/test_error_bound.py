@@ -28,6 +28,7 @@ def in_turn(name, scheme, steps):
     """One grid of each run here, all with -m slow; of curved sets a coarse one."""
     turn = (SETS.index(name) + STEPPING.index(scheme)) % 2 if name in COERCIVE else 0
     here = steps == grids(name)[0 if name in CURVED else turn]
+    here &= name != "B14" or scheme in ("catching-up", "sdirk2")  # the longest bounds
     return pytest.param(name, scheme, steps, marks=[] if here else pytest.mark.slow)
 
 
@@ -100,10 +101,7 @@ class Inexact(so.Clarabel):
         return lambda q, C: (answer := solve(q, C))._replace(z=1.01 * answer.z)
 
 
-INEXACT = [("V05", "implicit-euler"), ("V05", "midpoint"), *(("M17", s) for s in FOR_A_ZERO)]
-
-
-@pytest.mark.parametrize("name, scheme", INEXACT)
+@pytest.mark.parametrize("name, scheme", [("V05", "midpoint"), ("M17", "implicit-euler")])
 def test_the_error_of_an_inexact_solver_is_inside_the_bound(name, scheme):
     sol = run(name, 21, scheme, solver=Inexact(), tol=0.1)
     assert largest_error(name, sol) <= sol.error_bound()
@@ -199,9 +197,8 @@ def test_a_grid_is_cut_where_the_bound_arises_and_no_more_often_than_said(shares
 
 @pytest.mark.parametrize(
     "name, scheme",
-    [("P09", "midpoint"), ("S03", "midpoint"), ("S03", "trapezoid"), ("S03", "sdirk2")]
-    + [("V05", "trapezoid"), slow("P09", "trapezoid"), slow("P09", "sdirk2")]
-    + [slow("V05", "midpoint"), slow("V05", "sdirk2")],
+    [("S03", "midpoint"), ("S03", "trapezoid"), ("S03", "sdirk2"), ("V05", "trapezoid")]
+    + [slow("V05", "midpoint"), slow("V05", "sdirk2"), *(slow("P09", one) for one in STEPPING[2:])],
 )
 def test_the_bound_falls_with_the_order_of_the_scheme(name, scheme):
     grids = (13, 26, 51, 101)
@@ -209,16 +206,14 @@ def test_the_bound_falls_with_the_order_of_the_scheme(name, scheme):
     assert slope(grids, bounds) >= 1.45
 
 
-@pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
-def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given(scheme):
+def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given():
     process, wave = case("S03").process, so.Sine(3.0, np.pi)
-    sol = so.solve(process, t_end=8.0, steps=101, scheme=scheme, on_unstable="ignore")
+    sol = so.solve(process, t_end=8.0, steps=101, scheme="implicit-euler")
     error = largest_error("S03", sol)
     with pytest.warns(so.BoundWarning, match="sampled, not guaranteed"):
         sampled = sol.error_bound()
     assert not sampled.guaranteed
-    if scheme == "implicit-euler":  # one pass: the grid of a bound from data may be refined
-        assert error <= sampled <= 2 * error
+    assert error <= sampled <= 2 * error
     bound = sol.error_bound(variation=lambda t: wave.variation(0.0, t))
     assert bound.guaranteed
     assert error <= bound <= 0.5
@@ -235,7 +230,7 @@ def test_a_set_that_is_a_function_needs_its_variation_too():
     h.append((so.Polynomial([0.0, 1.0]), [0.1, 0.2]))
     same = so.SweepingProcess(1.0, 1.0, so.Polyhedron([[1.0], [-1.0]], so.Separable(h)), 0.0)
     truth = so.solve(same, t_end=4.0, steps=1, scheme="exact").exact
-    for steps in (50, 200):
+    for steps in (50, 100):
         sol = so.solve(process, t_end=4.0, steps=steps)
         error = np.abs(sol.u - truth(sol.t)).max()
         with pytest.warns(so.BoundWarning):
@@ -253,10 +248,9 @@ def curved_cone():
     return so.SweepingProcess(np.diag([1.0, 2, 1]), np.eye(3) + 1, C, np.zeros(3))
 
 
-@pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
-def test_cones_have_a_guaranteed_bound(scheme):
+def test_cones_have_a_guaranteed_bound():
     process = curved_cone()
-    sol = so.solve(process, t_end=2.5, steps=20, scheme=scheme)
+    sol = so.solve(process, t_end=2.5, steps=20, scheme="midpoint")
     reference = so.solve(process, t_end=2.5, steps=150)
     close_bound(sol, reference.t, reference.u, 1.1)
 
@@ -345,12 +339,11 @@ def test_what_is_made_of_rows_that_move_has_a_guaranteed_bound_and_an_exact_traj
     bound_is_close_to_the_exact_error(process, scheme)
 
 
-@pytest.mark.parametrize("A", [1.0, 1e-4])
-def test_a_wrong_velocity_of_the_second_run_is_not_believed(A):
+def test_a_wrong_velocity_of_the_second_run_is_not_believed():
     # without a check of M z + q = w DAQP's velocities make the bound 20 to 50 times the error
     S = -1.3 * so.HalfSpace([1.07], 1.0) - [0.15]
     C = so.Moving(S, so.Separable([(so.Sine(2.3, 2.3), [1.0])]))
-    process = so.SweepingProcess(A, 0.5, C, 0.0)
+    process = so.SweepingProcess(1e-4, 0.5, C, 0.0)
     truth = so.solve(process, t_end=4.0, steps=1, scheme="exact")
     sol = so.solve(process, t_end=4.0, steps=40, scheme="implicit-euler")
     times = divided(sol.t, 16)
@@ -385,7 +378,7 @@ def test_moved_rows_that_are_bounds_of_many_single_unknowns_have_the_bound_of_a_
         so.Moving(so.Box(-np.ones(n), np.ones(n)), load),
     ):
         process = so.SweepingProcess(A, 2 * A, C, np.zeros(n))
-        bounds.append(so.solve(process, t_end=1.0, steps=5).error_bound())
+        bounds.append(so.solve(process, t_end=1.0, steps=2).error_bound())
     assert bounds[0].guaranteed
     assert bounds[0] == pytest.approx(float(bounds[1]), rel=0.05)
 
@@ -407,7 +400,7 @@ def test_the_bound_of_sets_without_proofs_is_not_guaranteed():
         for C in (disc, so.Ball([3.0, 0.0], 1.0))
     ]
     sol = so.solve(processes[0], t_end=1.0, steps=2)
-    reference = so.solve(processes[1], t_end=1.0, steps=200)
+    reference = so.solve(processes[1], t_end=1.0, steps=50)
     error = sizes(processes[1], sol(reference.t) - reference.u).max()
     with pytest.warns(so.BoundWarning, match="nothing is proved of Constraints"):
         bound = sol.error_bound()
@@ -420,7 +413,6 @@ COMPOSED = {
     "a ball and an ellipse": so.Ball([0.0, 0.0], 0.5)
     + so.Ellipsoid([0.0, 0.0], [[0.5, 0.2], [0.2, 0.3]]),
     "an ellipse": so.Ellipsoid([0.1, 0.0], [[1.0, 0.3], [0.3, 0.6]]),
-    "a parallelogram": so.image([[1.0, 0.4], [0.2, 0.8]], so.Box([-1.0, -1.0], [1.0, 1.0])),
 }
 
 
@@ -430,7 +422,6 @@ COMPOSED = {
         ("a box cut with a ball", 1.0, "implicit-euler", 2),
         ("a ball and an ellipse", 1.0, "sdirk2", 3),
         ("an ellipse", 1.0, "sdirk2", 3),
-        ("a parallelogram", 1.0, "sdirk2", 3),
         ("an ellipse", 0.0, "implicit-euler", 2),
     ],
 )
@@ -447,7 +438,7 @@ def test_the_bound_of_composed_and_curved_sets_is_close(name, A, scheme, most):
     "scale, A, schemes",  # of a box and of a ball
     [
         ("a curve", 1.0, FOR_A_ZERO),
-        ("a curve", 1e-3, FOR_A_ZERO[::-1]),
+        slow("a curve", 1e-3, FOR_A_ZERO[::-1]),
         ("closes and opens", 1e-3, FOR_A_ZERO),
         ("touches 0", 1e-3, FOR_A_ZERO[::-1]),
         slow("closes and opens", 1.0, FOR_A_ZERO[::-1]),
@@ -496,12 +487,11 @@ def made_of_curved_sets(kind):
     "kind, A, scheme",
     [
         ("a product", 0.0, "implicit-euler"),
-        ("an image", 1e-3, "sdirk2"),
-        ("a sum of a sum", 0.0, "sdirk2"),
+        ("a sum of a sum", 0.0, "implicit-euler"),
         *(slow("a sum", 1.0, scheme) for scheme in FOR_A_ZERO),
+        *(slow("an image", 1e-3, scheme) for scheme in FOR_A_ZERO),
         slow("a product", 0.0, "sdirk2"),
-        slow("an image", 1e-3, "implicit-euler"),
-        slow("a sum of a sum", 0.0, "implicit-euler"),
+        slow("a sum of a sum", 0.0, "sdirk2"),
     ],
 )
 def test_what_is_made_of_curved_sets_with_scales_of_their_own_has_a_guaranteed_bound(
@@ -522,7 +512,7 @@ def test_a_scale_of_0_at_a_node_does_not_make_the_bound_of_a_sum_loose():
     for end in (0.0, 1e-3):
         closes = so.Moving(COMPOSED["an ellipse"], scale=so.Table([0.0, 1.0], [1.0, end]))
         C = so.Moving(so.Ball([0.0, 0.0], 0.5), load, so.Sine(0.2, 1.0, offset=1.0)) + closes
-        sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=4)
+        sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=2)
         bounds.append(sol.error_bound())
     assert all(bound.guaranteed for bound in bounds)
     assert bounds[0] <= 1.2 * bounds[1]
@@ -775,7 +765,7 @@ MANY = [slow(range(k, k + 40)) for k in range(1000, 1400, 40)]
 
 
 @pytest.mark.parametrize("rate_independent", [False, True])
-@pytest.mark.parametrize("seeds", [range(5), *MANY], ids=str)
+@pytest.mark.parametrize("seeds", [range(3), *MANY], ids=str)
 def test_the_bound_holds_for_random_processes_on_coarse_grids(seeds, rate_independent):
     for seed in seeds:
         check_bound(seed, rate_independent)

@@ -126,7 +126,7 @@ def test_a_node_that_misses_tol_stops_the_run():
 def test_the_inclusion_holds_at_any_time_and_u_is_the_integral_of_its_derivative(
     whole,
 ):
-    for seed in range(16):
+    for seed in range(8):
         process, grid = random_process(seed, polyhedral=True, whole=whole)
         follows_the_inclusion(process, None, steps=grid)
 
@@ -151,11 +151,11 @@ def test_a_load_that_just_reaches_the_threshold_moves_nothing(load, A):
     assert not found.velocity(np.linspace(0, 12, 301)).any()
 
 
-def test_401_switches_have_the_period_of_the_load_to_rounding():
+def test_201_switches_have_the_period_of_the_load_to_rounding():
     # the first ones are those of S03, the same block
-    found = exact(block(SLIDING), 100 * np.pi, steps=2)
+    found = exact(block(SLIDING), 50 * np.pi, steps=2)
     assert found.switches[: len(SWITCHES["S03"])] == pytest.approx(SWITCHES["S03"], abs=1e-10)
-    assert len(found.switches) == 401
+    assert len(found.switches) == 201
     later = found.switches[20:-1].reshape(-1, 4)  # what the start leaves falls by 100 a period
     periods = np.pi * np.arange(len(later))[:, None]
     assert np.abs(later - later[0] - periods).max() <= 1e-12

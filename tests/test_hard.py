@@ -46,14 +46,6 @@ def wrong(found):
     return [row for row in found if row.verdict not in GOOD]
 
 
-def test_the_active_set_solver_stands_alone():
-    process = make(("cond 1e12", "a box on all"), np.random.default_rng(0))
-    sol = solve_once(process, solver="active-set", tol=1e-9)
-    ((error, certificate, _),) = compare(process, sol, 1.0)
-    assert error <= min(1e-9, certificate)
-    assert sol.stats["solver"][0] == "active-set"
-
-
 # ---- every family, judged by its exact velocity -----------------------------------------------
 
 
@@ -63,7 +55,15 @@ def test_families_are_made_of_ingredients_that_there_are():
     assert set(joined(*FAMILIES.values())) <= set(names)
 
 
-@pytest.mark.parametrize("turn, family", [*enumerate(FAMILIES)])
+LONG = ("condition_all", "jumps", "singleton", "thin", "rotating", "no_stiffness", "viscosity")
+LONG += ("singular_stiffness", "no_viscosity", "stiff", "short_steps", "long_steps", "jumping")
+LONG += ("hold_half", "hold_almost", "hold_exactly")  # and what these hold the others hold too
+
+
+@pytest.mark.parametrize(
+    "turn, family",
+    [slow(*each) if each[1] in LONG else each for each in enumerate(FAMILIES)],
+)
 def test_hard_families_are_met_within_their_certificates(turn, family):
     # some solvers and paths in turn here, all of them with -m slow
     solvers = ["auto", ("osqp", "clarabel")[turn % 2]]
@@ -80,7 +80,7 @@ def test_hard_families_are_met_for_every_seed_and_solver(family, seed):
     assert wrong(judged(family, seeds=[seed])) == []
 
 
-@pytest.mark.parametrize("seed", [0, slow(1)])
+@pytest.mark.parametrize("seed", [slow(0), slow(1)])
 def test_combinations_drawn_by_chance_are_met(seed):
     found = judged("unbounded", seeds=[seed], solvers=["auto", "osqp", "clarabel"], combinations=4)
     assert len({row.drawn for row in found}) == 5
@@ -91,11 +91,9 @@ def test_combinations_drawn_by_chance_are_met(seed):
     "seed, number",
     [
         pytest.param(211, 2, id="a polyhedron beside jumps of 1e8, in mixed units, A = 0"),
-        pytest.param(317, 7, id="a polyhedron beside jumps of 1e8, A = 0"),
         pytest.param(23, 5, id="discs in mixed units, condition 1e12"),
         pytest.param(0, 3, id="a polyhedron in mixed units, B up to 1e10"),
         pytest.param(2, 0, id="B of rank one"),
-        pytest.param(118, 39, id="a polyhedron in mixed units, condition 1e7"),
         pytest.param(114, 41, id="discs across cells from 1 to 1e-6"),
     ],
 )
@@ -119,9 +117,9 @@ def test_the_judge_has_digits_for_radii_from_1_to_1e24():
 
 def test_a_path_that_does_not_apply_leaves_no_row():
     # all unknowns are in contact: there is nothing to eliminate
-    found = judged("condition_all", "proportional", solvers=["auto"])
+    found = judged("mixed_bounds_all", "proportional", solvers=["auto"])
     assert [(row.family, row.path) for row in found] == [
-        ("condition_all", "full"),
+        ("mixed_bounds_all", "full"),
         *(("proportional", path) for path in PATHS),
     ]
 
@@ -169,7 +167,7 @@ def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data():
     assert float(moves[0]) == pytest.approx(-3e-9 * 2.0**-30, rel=1e-12)
 
 
-@pytest.mark.parametrize("family", ["condition", "lengths_down", "stiff"])
+@pytest.mark.parametrize("family", ["condition", "lengths_down", slow("stiff")])
 def test_the_judge_sees_wrong_answers_and_certificates(monkeypatch, family):
     def judged_as(factor, stated=1.0):
         """The row of a run whose velocities and certificates are not those of the library."""

@@ -178,9 +178,9 @@ def test_an_empty_set_is_refused_with_its_time_before_any_solver_runs():
 )
 def test_the_a_priori_bound_holds_for_all_kinds_of_moving_sets(C):
     process = so.SweepingProcess(np.eye(2), 0.2 * np.eye(2), C, [0, 0])
-    sol = so.solve(process, t_end=2.0, steps=50, scheme="implicit-euler")
+    sol = so.solve(process, t_end=2.0, steps=10, scheme="implicit-euler")
     largest = np.linalg.norm(sol.velocity, axis=1).max()
-    assert 0 < largest <= process.velocity_bound(np.linspace(0, 2, 51)).value
+    assert 0 < largest <= process.velocity_bound(np.linspace(0, 2, 11)).value
 
 
 def test_the_bound_of_a_body_at_rest_is_zero_whatever_its_constants():
@@ -242,7 +242,7 @@ JUMPS = [
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_finite_jumps_of_data_are_named_once_with_their_times_and_sizes(C, message):
     process = so.SweepingProcess(4.0, 1.0, C, 0.0)
-    for steps in (7, 100, so.Adaptive(1e-2)):
+    for steps in (7, so.Adaptive(1e-2)):
         with pytest.warns(so.VariationWarning, match=message) as caught:
             assert so.solve(process, t_end=2.0, steps=steps).success
         assert sum(w.category is so.VariationWarning for w in caught) == 1

@@ -152,7 +152,7 @@ def test_rows_beside_a_set_on_few_unknowns_are_as_exact_as_the_same_set_all_in_r
     M = (turn * np.geomspace(1, condition, 6)) @ turn.T
     M, norm = 0.5 * (M + M.T), Factor(M).norm
     C = so.product(so.Polyhedron(G, h), so.image(few, box))
-    for q in 10 * rng.normal(size=(5, 6)):
+    for q in 10 * rng.normal(size=(2, 6)):
         found = velocity(M, q, C, solver=solver, tol=1e-12)
         other = velocity(M, q, same, solver="active-set", tol=1e-12)
         assert norm(found.z - other.z) <= 1e-12 * math.sqrt(condition) * norm(other.z)
@@ -210,7 +210,7 @@ def test_a_set_without_proof_makes_the_run_uncertified_and_right():
     for name, shape in sets.items():
         C = so.Moving(shape, lambda t: [3 * t, np.sin(t)])
         process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0])
-        runs[name] = so.solve(process, t_end=1.0, steps=20, scheme="implicit-euler")
+        runs[name] = so.solve(process, t_end=1.0, steps=5, scheme="implicit-euler")
     assert runs["constraints"].status is so.Status.UNCERTIFIED
     assert "uncertified" in runs["constraints"].message
     assert np.isnan(runs["constraints"].stats["certificate"]).any()
@@ -226,7 +226,7 @@ def test_a_solver_whose_word_alone_counts_is_asked_to_be_careful():
     ends = []
     for shape in (so.Constraints(4, lambda w: [cp.norm(w) <= 1]), so.Ball(np.zeros(4), 1.0)):
         process = so.SweepingProcess(A, A, so.Moving(shape, f), np.zeros(4))
-        ends.append(so.solve(process, t_end=2.0, steps=12).u[-1])
+        ends.append(so.solve(process, t_end=2.0, steps=4).u[-1])
     assert ends[0] == pytest.approx(ends[1], rel=1e-5)
 
 

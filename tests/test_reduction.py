@@ -77,7 +77,7 @@ def test_a_body_that_hardly_remembers_loses_no_digits(rho):
 )
 def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part, scheme):
     this = process(part=SETS[part])
-    grid = 4 * np.linspace(0, 1, 60) ** 2
+    grid = 4 * np.linspace(0, 1, 30) ** 2
     few, general = runs(this, steps=grid, scheme=scheme, on_unstable="ignore")
     assert (few.plan.path, few.plan.entering) == (
         "proportional",

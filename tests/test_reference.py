@@ -13,6 +13,7 @@ RUNS = [(name, scheme) for name in SETS for scheme in case(name).errors]
 SECOND_ORDER = ("midpoint", "trapezoid", "sdirk2")
 REFINED = ("S03", "S04", "V05", "P09", "B14", "B15", "M16", "E20")
 """Cases whose orders are fitted, of every kind but the linear one; the others have their errors."""
+FITTED = ("S03", "V05", "M16", "E20")  # without -m slow: a box, a curved set, A = 0, a cone
 
 
 @cache
@@ -31,7 +32,7 @@ SLOW = [slow(*each, (*GRIDS, 2003)) for each in RUNS]
 
 @pytest.mark.parametrize(
     "name, scheme, grids",
-    [*((*each, SOME if each[0] in REFINED else GRIDS[:1]) for each in RUNS), *SLOW],
+    [*((*each, SOME if each[0] in FITTED else GRIDS[:1]) for each in RUNS), *SLOW],
 )
 def test_errors_and_order_are_those_of_the_theory(name, scheme, grids):
     this = case(name)
@@ -44,7 +45,7 @@ def test_errors_and_order_are_those_of_the_theory(name, scheme, grids):
         if expected := this.errors[scheme].get(str(steps)):
             margin = 0.03 if scheme in SECOND_ORDER else 0.02
             assert errors[-1] == pytest.approx(expected, rel=margin)
-    if name not in REFINED:
+    if name not in REFINED or len(grids) == 1:
         return
     order = slope(grids, errors)
     if this.process.rate_independent:
@@ -80,8 +81,11 @@ def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_p
     assert error == pytest.approx(this.errors[sol.plan.scheme.name]["101"], rel=0.03)
 
 
-@pytest.mark.parametrize("name", SETS)
-@pytest.mark.parametrize("tol", [slow(1e-6), 1e-10])
+@pytest.mark.parametrize(
+    "name, tol",
+    [(name, 1e-10) for name in ("S01", "S03", "V05", "M16", "M17")]
+    + [slow(name, tol) for name in SETS for tol in (1e-6, 1e-10)],
+)
 def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(name, tol):
     this = case(name)
     solvers = ["clarabel", "auto"] + ["osqp"] * this.polyhedral + ["cvxpy"] * (name == "P09")
@@ -98,7 +102,7 @@ def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(name, t
         assert apart <= 2 * growth * carried + 1e-13
 
 
-@pytest.mark.parametrize("name", [name for name in SETS if name not in ("S04", "L13")])
+@pytest.mark.parametrize("name", ["S03", "V05", "P10", "M16"])
 def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(name):
     """Adly and Haddad, the Proposition of section 4: the two problems are one."""
     this = case(name)
@@ -110,7 +114,7 @@ def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(n
     assert np.array_equal(one.u, two.u)
 
 
-@pytest.mark.parametrize("name", ["S04", "V05", "P09"])
+@pytest.mark.parametrize("name", [slow("S04"), "V05", slow("P09")])
 def test_the_viability_condition_is_met_to_first_order(name):
     this = case(name)
     times = np.linspace(0.01, 0.99, 200) * this.t_end
@@ -124,7 +128,7 @@ def test_the_viability_condition_is_met_to_first_order(name):
     assert distances[-1] <= 0.1
 
 
-@pytest.mark.parametrize("name", ["P09", "V05"])
+@pytest.mark.parametrize("name", [slow("P09"), "V05"])
 def test_dissipated_plus_stored_energy_is_the_work_done_to_first_order(name):
     this = case(name)
     imbalance = []

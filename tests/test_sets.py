@@ -19,7 +19,10 @@ import sweepopt as so
 from tests.laws import (
     LAWS,
     ZOO,
+    cone_and_polar_split_every_vector,
+    normal_and_projection_make_a_pair,
     normal_pair_is_proven_near_any_guess,
+    of_each_kind,
 )
 
 UNIT = so.Ball([0.0, 0.0], 1.0)
@@ -33,8 +36,16 @@ def obeys(law, name, times):
         law(ZOO[name], ZOO[name].sample(seed), np.random.default_rng(seed + 1))
 
 
-@pytest.mark.parametrize("name", ZOO)
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+def pairs():
+    """Each law with a set of each kind in turn, two with all of them; every pair with -m slow."""
+    for turn, law in enumerate(LAWS):
+        all_here = law in (cone_and_polar_split_every_vector, normal_and_projection_make_a_pair)
+        here = ZOO if all_here else of_each_kind(turn)
+        for name in ZOO:
+            yield (law, name) if name in here else slow(law, name)
+
+
+@pytest.mark.parametrize("law, name", [*pairs()], ids=lambda one: getattr(one, "__name__", one))
 def test_every_set_obeys_every_law(law, name):
     obeys(law, name, 1)
 

@@ -51,10 +51,10 @@ def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme):
 
 
 def test_the_bound_of_steps_in_parts_is_not_below_their_error():
-    sol = so.solve(stiff(4e15), t_end=2.0, steps=2, scheme="midpoint", on_unstable="ignore")
+    sol = so.solve(stiff(4e15), t_end=1.0, steps=1, scheme="midpoint", on_unstable="ignore")
     assert max(parts(sol)) > 1
-    exact = so.solve(one(), t_end=2.0, steps=1, scheme="exact").exact
-    times = np.linspace(0.0, 2.0, 201)
+    exact = so.solve(one(), t_end=1.0, steps=1, scheme="exact").exact
+    times = np.linspace(0.0, 1.0, 201)
     error = np.sqrt(2) * np.abs(sol(times)[:, 0] - exact(times)[:, 0]).max()
     bound = sol.error_bound()
     assert bound.guaranteed
@@ -79,7 +79,7 @@ def test_a_step_in_parts_that_overshoots_is_warned_of():
     with pytest.warns(so.StabilityWarning, match="can overshoot into a wrong stuck state"):
         sol = so.solve(process, t_end=10.0, steps=1, scheme="midpoint")
     assert parts(sol) == [2]
-    right = so.solve(process, t_end=10.0, steps=99, scheme="implicit-euler")
+    right = so.solve(process, t_end=10.0, steps=29, scheme="implicit-euler")
     assert np.abs(sol.u[-1] - right.u[-1]).max() > 0.2
 
 
@@ -187,14 +187,14 @@ def test_rough_loads_are_not_met_and_the_plan_says_so():
 # ---- bit for bit after a kill ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["Separable", "eliminated", "proportional"])
+@pytest.mark.parametrize("name", ["Separable", slow("eliminated"), "proportional"])
 def test_a_resumed_run_that_meets_breakpoints_is_the_whole_run(name, tmp_path):
     C, B, path = MEETING[name]
     process = so.SweepingProcess(A3, B, C, np.zeros(3))
     how = {"steps": 40, "t_end": 1.0, "path": path}
     whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=7), **how)
     assert sum(parts(whole)) == 44
-    for killed in (13, 14, 23):
+    for killed in (13, 14):
         file = tmp_path / f"{killed}"
         checkpoint = so.Checkpoint(file, steps=7)
         with pytest.raises(Killed):

@@ -1,6 +1,7 @@
 """Bodies of any stiffness: "auto" beside the best of three, without ringing and false stick."""
 
 import math
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -25,9 +26,7 @@ MANY = [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf]
     [
         *(
             (body, load, SOME[load], [0], [40], 1.0)
-            for load in LOADS
-            for body in SEEDS
-            if body != "discs"
+            for body, load in zip((one for one in SEEDS if one != "discs"), cycle(LOADS))
         ),
         *(
             slow(body, load, [stiffness], seeds, [60, 150], 2.0)
@@ -45,7 +44,7 @@ def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(
         check(row, over_best)
 
 
-@pytest.mark.parametrize("load, stiffness", [("sines", 0.01), ("tables", 1.9)])
+@pytest.mark.parametrize("load, stiffness", [slow("sines", 0.01), ("tables", 1.9)])
 def test_below_two_auto_neither_rings_nor_is_far_from_the_best(load, stiffness):
     for row in stiff_bodies([0], ["chain"], [load], [stiffness], [50], bounds=False):
         check(row)
@@ -53,7 +52,7 @@ def test_below_two_auto_neither_rings_nor_is_far_from_the_best(load, stiffness):
 
 def test_auto_is_near_the_best_of_three_where_few_switches_of_a_soft_mass_count():
     # of 150 sines and 150 tables sdirk2 was above twice the best in 16, 29, 16, 24, 27, 32 of them
-    for load, seeds in (("sines", (0, 1, 29)), ("tables", (0, 16, 24, 27, 32))):
+    for load, seeds in (("sines", (0,)), ("tables", (0, 16))):
         for seed in seeds:
             process, how = make("one mass", load, seed, 1e-2, 30), {"t_end": 1.0, "steps": 30}
             exact = so.solve(process, **how, scheme="exact").u
@@ -64,7 +63,7 @@ def test_auto_is_near_the_best_of_three_where_few_switches_of_a_soft_mass_count(
             assert auto <= 2 * min(best)
 
 
-@pytest.mark.parametrize("load, seed", [("sines", 1), ("tables", 13)])
+@pytest.mark.parametrize("load, seed", [("sines", 1), slow("tables", 13)])
 def test_auto_is_near_the_best_of_three_in_the_mean_of_neighbouring_grids(load, seed):
     # on single grids errors of a soft mass cancel by chance: up to 3.2 times the best
     process, errors = make("one mass", load, seed, 1e-2, 30), []
@@ -90,7 +89,9 @@ UNLUCKY = (
 )
 
 
-@pytest.mark.parametrize("case", [*UNLUCKY[:4], *(slow(one) for one in UNLUCKY[4:])])
+@pytest.mark.parametrize(
+    "case", [*UNLUCKY[:3:2], *(slow(one) for one in (UNLUCKY[1], *UNLUCKY[3:]))]
+)
 def test_breakpoints_anywhere_in_steps_favour_none_of_the_three(
     case,
 ):
@@ -132,7 +133,7 @@ def test_which_steps_are_stiff_is_asked_of_each():
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-@pytest.mark.parametrize("name", ["S02", "V05", slow("P09")])
+@pytest.mark.parametrize("name", ["S02", slow("V05"), slow("P09")])
 def test_sdirk32_is_of_order_two(name):
     this = case(name)
     how = {"t_end": this.t_end, "scheme": "sdirk32", "tol": 1e-9}
