@@ -33,9 +33,9 @@ from sweepopt.integrate import (
     Checkpoint,
     CheckpointWriter,
     Grid,
+    Pass,
     Run,
     SaveFunction,
-    Scheme,
     SolveOptions,
     States,
     StepInfo,
@@ -56,6 +56,10 @@ from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.results import ErrorBound, NetCDFSink, Solution
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
+
+FAR = 1e-4
+"""With error=, of it: where Adaptive meets so small a tolerance and the bound does not fall below
+it, the bound stays. In layers of 1 / Lam it met a hundredth at the nodes before a step saw one."""
 
 
 @meaning(
@@ -115,10 +119,10 @@ def solve(
         is tried with other solvers, then in 2 to 16 equal parts, then handled as on_failure says.
         The solver of a step in parts is "osqp/4" in `stats`, its certificate the worst of theirs.
     error : float, optional
-        Refine the steps, as Adaptive does, until `Solution.error_bound` is at most this; needs a
-        load as data. The last run contains the times that `steps` gives, and is repeated for the
-        callback and `save`; where a run stops early (on_failure, Ctrl-C) the callback is not
-        called, and no file is written.
+        Refine the steps where u changes fast until `Solution.error_bound` is at most this; needs a
+        load as data. All runs contain the times of `steps` (1000 by default: give few). The last
+        one is made once more if a callback or `save` is given; where a run stops early (on_failure,
+        Ctrl-C) the callback is not called, and no file is written.
     path : {"auto", "proportional", "eliminated", "return mapping", "cones", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
@@ -138,9 +142,9 @@ def solve(
         steps in a NetCDF file "run.nc" that is written in blocks. The last step always is kept.
     memory : float
         Bytes that the kept states may take; a run that needs more is refused before it starts.
-        Each pass of Adaptive keeps all its states.
+        Each pass of Adaptive and of `error` keeps all its states.
     progress : bool
-        Show a progress bar (needs tqdm), of Adaptive one for each pass.
+        Show a progress bar (needs tqdm), of Adaptive and `error` one for each pass.
     callback : callable, optional
         Called after each step; returning True stops the run and keeps what was computed.
     checkpoint : Checkpoint, str or Path, optional
@@ -294,23 +298,24 @@ def _refine(
     """The run whose guaranteed error bound is at most `error`.
 
     Its steps are adaptive, within those that are given, and their tolerance is reduced until the
-    bound is met. Ctrl-C during a bound returns the run that it is of.
+    bound is met. No wave of the load is sampled at first, as the bound overlooks none. Ctrl-C
+    during a bound returns the run that it is of.
     """
     if isinstance(options.steps, Adaptive):
         raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
     times, _ = time_grid(options.t_end, options.steps)
     error = number("error", error, minimum=0.0, strict=True)
     saving(options.save, times, process.dim, options.memory)
-    scheme, run = options.tableau(process), _warning_once(_run)
-    if scheme.exact:
+    if options.tableau(process).exact:
         raise InputError(
             "error=: scheme 'exact' has no error in time; leave error out (Solution.exact is u at "
             "any time, between the nodes too)"
         )
-    times = first_grid(Adaptive(error), process, times, scheme)
-    asked = _as_adaptive(options, scheme)
+    run, tol, cause = _warning_once(_run), error, ""
+    asked = replace(options, t_end=None)
     runs = _all_states(run, process, asked, progress)
-    sol, tol, last, cause = runs(times, options.tol), error, math.inf, ""
+    sol = runs(times, options.tol)
+    sol = replace(sol, passes=(Pass(len(sol.stats), math.nan, float(sol.stats["seconds"].sum())),))
     while sol.success:
         try:
             bound = _guaranteed_bound(sol)
@@ -318,7 +323,7 @@ def _refine(
             return replace(sol, status=Status.INTERRUPTED)
         if bound <= error:
             return _with_all(run, process, asked, sol, callback, progress)
-        if not cause and not bound < 0.9 * last:
+        if not cause and (tol < FAR * error or (sol.passes[1:] and bound == math.inf)):
             cause = "shorter steps do not help; ask for less"
         if cause:
             raise AccuracyError(
@@ -326,10 +331,9 @@ def _refine(
                 f"{len(sol.t) - 1} steps: {cause}",
                 sol,
             )
-        if sol.passes:
-            tol *= min(0.5, 0.8 * error / bound)
-        sol, cause = adapt(runs, process, Adaptive(tol), sol.t, bound)
-        last = bound
+        if sol.passes[1:]:
+            tol *= min(0.5, max(0.1, 0.8 * error / bound))
+        sol, cause = adapt(runs, process, Adaptive(tol), sol.t, sol, bound)
     return sol
 
 
@@ -351,7 +355,8 @@ def _adapt(
     scheme, run = options.tableau(process), _warning_once(_run)
     times = first_grid(options.steps, process, options.times_to_meet(), scheme)
     saving(options.save, times, process.dim, options.memory)
-    asked = _as_adaptive(options, scheme)
+    # errors are estimated, so no scheme is warned of
+    asked = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
     sol, cause = adapt(_all_states(run, process, asked, progress), process, options.steps, times)
     sol = _with_all(run, process, asked, sol, callback, progress)
     if not (cause and sol.success):
@@ -360,11 +365,6 @@ def _adapt(
         relative = float(sol.stats["relative"].max(initial=0.0))
         raise StepError(cause, float(sol.t[-1]), len(sol.stats), sol.u[-1], relative)
     return replace(sol, status=Status.INEXACT, cause=cause)
-
-
-def _as_adaptive(options: SolveOptions, scheme: Scheme) -> SolveOptions:
-    """The options of runs whose errors are estimated: of no scheme is warned."""
-    return replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
 
 
 def _all_states(

@@ -689,6 +689,17 @@ def test_steps_are_short_only_where_u_changes_fast(A, most):
 
 
 @pytest.mark.filterwarnings("ignore:B u0 is not in C")
+@pytest.mark.parametrize("A, error", [(1e-4, 1e-2), (1e-5, 1e-2), (1e-6, 1e-3), (1e-7, 1e-3)])
+def test_an_error_is_delivered_where_a_first_layer_is_inside_of_a_step(A, error):
+    # Adaptive meets its tolerance at the nodes before any of them is in the layer
+    pull = so.Separable([(so.Sine(3.0, period=np.pi), 1.0)])
+    process = so.SweepingProcess(A, 1.0, so.Moving(so.Box(-1, 1), center=pull), 5.0)
+    sol = so.solve(process, t_end=4.0, steps=20, error=error)
+    assert sol.error_bound() <= error
+    assert len(sol.t) < 1000
+
+
+@pytest.mark.filterwarnings("ignore:B u0 is not in C")
 def test_an_error_that_falls_on_short_steps_only_is_delivered():
     # u jumps at first, in a time of 1 / Lam = 1e-3: no step of the first two grids sees that
     pull = so.Separable([(so.Constant(3.0), 1.0)])

@@ -391,50 +391,6 @@ def test_what_an_own_set_raises_names_the_step():
     assert re.fullmatch(r"This was raised in step \d, from t = [\d.]+\.", note)
 
 
-def test_friction_on_a_face_that_is_free_along_its_normal_is_told():
-    space = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
-    effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", 1.0)]
-    told = [
-        any("normal displacement" in one for one in so.fem.body(body, effects).left_out)
-        for body in (
-            space,
-            replace(space, held={"bottom": "n"}),
-            replace(space, held={"bottom": "y"}),
-        )
-    ]
-    assert told == [True, False, False]
-
-
-@pytest.mark.parametrize(
-    "line, hint",
-    [
-        ("eta = 1 + x", ["quotes"]),
-        ("eta = sin(x)", ["quotes"]),
-        ("eta = [1 2]", ["commas"]),
-        ("eta", []),
-        ("= 2", []),
-    ],
-)
-def test_a_hint_at_the_syntax_of_toml_is_one_that_fits(line, hint):
-    with pytest.raises(so.InputError, match="is not TOML") as refusal:
-        so.scene(f"{line}\n")
-    assert [one for one in ("quotes", "commas") if one in str(refusal.value)] == hint
-
-
-@pytest.mark.parametrize("form", [np.array, sp.csr_array, sp.csc_array])
-def test_what_a_process_is_made_of_cannot_be_changed_entry_by_entry(form):
-    A, u0, load = form(np.eye(2)), np.zeros(2), np.ones(2)
-    process = so.EvolutionVI(A, 2 * A, load=load, dissipation=so.Box([-1, -1], [1, 1]), u0=u0)
-    stored = process.B if form is np.array else process.B.data
-    for array in (stored, process.u0, process.load, process.dissipation.lower):
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 1.0
-    for own in (A if form is np.array else A.data, u0, load):  # those of the user are as they were
-        own[...] = 7.0
-    assert process.A[0, 0] == 1.0
-    assert not process.u0.any()
-
-
 def test_an_empty_list_of_pictures_draws_none_and_a_study_without_solvers_takes_auto(tmp_path):
     from sweepopt.fem.pictures import pictures_of
     from sweepopt.study import read_study

@@ -875,8 +875,12 @@ def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
     given = {name for names in choices for name in names if getattr(effect, name) is not None}
     if given not in map(set, choices):
         words = ", or ".join(" and ".join(names) for names in choices)
-        found = " and ".join(sorted(given)) or "none of them"
-        raise InputError(f"{min(given, default=choices[0][0])}: give {words}; got {found}")
+        for names in choices:
+            if given < set(names):
+                missing = next(name for name in names if name not in given)
+                beside = "".join(f" beside {name}" for name in given)
+                raise InputError(f"{missing}: is missing{beside}; give {words}")
+        raise InputError(f"{sorted(given)[0]}: give {words}, not {' and '.join(sorted(given))}")
 
 
 def _check_compressible(nu: Array) -> None:

@@ -174,7 +174,7 @@ def contact(report: Report) -> Any:
     )
     name_axis(report, moved.yaxis, "displacement", "length")
     legend_above(moved, 5)
-    traction.set(ylabel="traction / bound\n(± error of the step)", ylim=(-1.15, 1.15))
+    traction.set(ylabel="traction / bound\n(above 1: error of the step)", ylim=(-1.15, 1.15))
     if loaded:
         _, load, (_, name) = driven(report.scene, report.solution)
         panels[3].plot(slip.t / seconds, load, color="black")

@@ -53,7 +53,6 @@ from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent, Summands
 from sweepopt.velocity import PATHS, solvers
 
 UNITS = ("dimensionless", "SI")
-LOOSE = "nothing holds the normal displacement where friction acts: the body may leave the floor"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -456,7 +455,6 @@ def build(
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
         "no load: f = 0": loads,
-        LOOSE: contact is None or not space.frame.normal[contact.node].any(),
     }
     return Scene(
         problem=problem,

@@ -262,7 +262,7 @@ def arrows(report: Report, steps: Array) -> Field:
         return panel.scatter(*x.T, c=use[i], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
 
     axes = tuple("xyz"[k] for k in plane)
-    label = "friction traction / bound\n(± error of the step)"
+    label = "friction traction / bound\n(above 1: error of the step)"
     return Field(draw, x, label, "", {}, axes)
 
 

@@ -91,6 +91,7 @@ def adapt(
     process: SweepingProcess,
     steps: Adaptive,
     times: Array,
+    first: Any = None,
     bound: float = math.inf,
 ) -> tuple[Any, str]:
     """The run over the first grid with a small estimated error, and why there is none.
@@ -100,18 +101,18 @@ def adapt(
     Parameters
     ----------
     times : ndarray
-        Those of `first_grid`, or of a run.
-    bound : float
-        Of the error of that run, if it is known; it is estimated from two.
+        Those of `first_grid`, or of the first run.
+    first : Solution, optional
+        The first run, if it is made, and `bound` a bound of its error; from two it is estimated.
     """
     sol, share, tol = None, math.nan, math.inf
-    passes: list[Pass] = []
+    passes: list[Pass] = [] if first is None else list(first.passes)
     # breakpoints are met anyway
     shortest = min(steps.minimum or 2.0**-40 * (times[-1] - times[0]), float(np.diff(times).min()))
     while True:
         before, began = sol, clock.perf_counter()
         try:
-            sol = _with_note(run, times, tol)
+            sol = first if sol is None and first is not None else _with_note(run, times, tol)
         except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
             if before is None:
                 raise
@@ -131,7 +132,8 @@ def adapt(
             # of order 2 is x (1 - x) / 2 of h^3 z'', in the mean over x a twelfth
             error += math.sqrt((errors**2).sum()) / 12
             this = this._replace(error=error)
-        passes.append(this)
+        if sol is not first:
+            passes.append(this)
         sol = replace(sol, passes=tuple(passes))
         if error <= steps.tol:
             return sol, ""
@@ -141,7 +143,9 @@ def adapt(
         tol = max(0.05 * steps.tol / length, 1e-9) if length else tol
         goal = 0.7 * steps.tol / error  # estimates scatter by a third
         density = float(leading ** (1 / (r + 1)) @ sizes)
-        wanted = density * (density / (errors.sum() * goal)) ** (1 / r) if len(passes) > 1 else 0.0
+        wanted = (
+            density * (density / (errors.sum() * goal)) ** (1 / r) if before is not None else 0.0
+        )
         rounding = EPS * (length + float(process.metric.norm(process.u0)))
         if cause := _failure(steps.tol, rounding, wanted, passes):
             return sol, cause
@@ -213,7 +217,7 @@ def _refined(times: Array, leading: Array, r: int, total: float) -> Array:
 def _failure(tol: float, rounding: float, wanted: float, passes: list[Pass]) -> str:
     """Why it makes no sense to go on to so many steps, or nothing."""
     if tol < rounding:
-        return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
+        return f"{tol:g} is less than the rounding of u, {rounding:.2g}; ask for less accuracy"
     last = f"{passes[-1].error:.2g} with {passes[-1].steps} steps"
     # estimates scatter by a factor of two, but not three of them to one side; the first is nan
     if passes[-4:-3] and min(one.error for one in passes[-3:]) > passes[-4].error:
@@ -223,8 +227,9 @@ def _failure(tol: float, rounding: float, wanted: float, passes: list[Pass]) -> 
         )
     if wanted > STEPS:
         return (
-            f"tol = {tol:g} would take about {wanted:.2g} steps, more than {STEPS:g}; the run has "
-            f"an estimated error of {last}. Loosen the tolerance or take a scheme of higher order"
+            f"{tol:g} would take about {wanted:.2g} steps, more than {STEPS:g}; the run has an "
+            f"estimated error of {last}. Ask for less accuracy, or take a scheme of higher order, "
+            'or "exact" where C(t) has flat faces and the load is data'
         )
     return ""
 

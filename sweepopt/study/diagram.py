@@ -31,7 +31,7 @@ COSTS = {
     "steps": "time steps",
     "solver_calls": "solver calls",
 }
-UNKNOWN = "error not known: at its bound, or at the top"
+UNKNOWN = "error not known (at its bound, else on top)"
 LOOK = ["panel", "label", "marker", "line", "colour", "solver"]
 """What a line of the diagram has in common: marker, line and colour as matplotlib names them; there
 is no line, or there are no markers, where one is ""."""
