@@ -125,12 +125,7 @@ def adapt(
         errors = leading * sizes ** (r + 1)
         error = bound
         if before is not None:
-            common = np.isin(times, before.t, assume_unique=True)
-            change = squares(process.metric.M, sol.u[common] - before.u).max()
-            error = math.sqrt(max(change, 0.0)) * share / (1 - share)
-            # of switches, with signs by chance: where z' jumps at the share x of a step, the error
-            # of order 2 is x (1 - x) / 2 of h^3 z'', in the mean over x a twelfth
-            error += math.sqrt((errors**2).sum()) / 12
+            error = _estimate(process, before, sol, share, errors)
             this = this._replace(error=error)
         if sol is not first:
             passes.append(this)
@@ -157,6 +152,18 @@ def adapt(
             at = times[h.argmin()]
             cause = f"a step shorter than minimum = {shortest:g} is needed at t = {at:g}; {ADVICE}"
             return _first_steps(sol, int(np.searchsorted(sol.t, at, "right")) - 1), cause
+
+
+def _estimate(
+    process: SweepingProcess, before: Any, sol: Any, share: float, errors: Array
+) -> float:
+    """Of the error of a run, by the one before, the local errors and their share of that one's."""
+    common = np.isin(sol.t, before.t, assume_unique=True)
+    change = squares(process.metric.M, sol.u[common] - before.u).max()
+    error = math.sqrt(max(change, 0.0)) * share / (1 - share)
+    # of switches, with signs by chance: where z' jumps at the share x of a step, the error of order
+    # 2 is x (1 - x) / 2 of h^3 z'', in the mean over x a twelfth
+    return error + math.sqrt((errors**2).sum()) / 12
 
 
 def _first_steps(sol: Any, k: int) -> Any:
