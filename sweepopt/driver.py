@@ -51,6 +51,7 @@ from sweepopt.integrate import (
     require_same_problem,
     saving,
     time_grid,
+    with_breakpoints,
 )
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.results import ErrorBound, NetCDFSink, Solution
@@ -313,12 +314,13 @@ def _refine(
         )
     run, tol, cause = _warning_once(_run), error, ""
     asked = replace(options, t_end=None)
-    runs = _all_states(run, process, asked, progress)
+    runs, times = _all_states(run, process, asked, progress), with_breakpoints(process, times)
     sol = runs(times, options.tol)
     sol = replace(sol, passes=(Pass(len(sol.stats), math.nan, float(sol.stats["seconds"].sum())),))
     while sol.success:
         try:
-            bound = _guaranteed_bound(sol)
+            # a run that needs too short a step is whole no more
+            bound = _guaranteed_bound(sol) if sol.t[-1] == times[-1] else math.inf
         except KeyboardInterrupt:
             return replace(sol, status=Status.INTERRUPTED)
         if bound <= error:

@@ -666,6 +666,15 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
     assert len(caught.value.solution.t) < 1000
 
 
+def test_an_error_is_delivered_across_a_steep_ramp_which_steps_meet():
+    ramp = so.Separable([(so.Table([0, 1, 1 + 1e-6, 4], [0.0, 0.5, 3.0, 3.0]), 1.0)])
+    process = so.SweepingProcess(None, 2.0, so.Moving(so.Box(-1, 1), center=ramp), 0.0)
+    sol = so.solve(process, t_end=4.0, steps=7, error=1e-2)
+    assert sol.error_bound() <= 1e-2
+    assert sol.t[-1] == 4.0
+    assert abs(sol.u[-1, 0] - 1.0) < 1e-2
+
+
 def test_an_infinite_bound_ends_the_search_for_a_grid(monkeypatch):
     monkeypatch.setattr(so.Solution, "_bound", ErrorBound.make("", *np.full((3, 1), np.inf), 0.0))
     with pytest.raises(so.AccuracyError, match=r"bound is inf with .* do not help") as caught:

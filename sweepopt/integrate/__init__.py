@@ -1,7 +1,7 @@
 """Time stepping: schemes, the loop over time, what is kept of it, adaptive steps (MATH 3)."""
 
 from sweepopt.checks import MEMORY
-from sweepopt.integrate.adaptive import adapt, first_grid
+from sweepopt.integrate.adaptive import adapt, first_grid, with_breakpoints
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     CheckpointWriter,

@@ -86,6 +86,12 @@ def first_grid(steps: Adaptive, process: SweepingProcess, times: Array, scheme: 
     return grid
 
 
+def with_breakpoints(process: SweepingProcess, times: Array) -> Array:
+    """The grid with the breakpoints of the load, unless these are more than its steps."""
+    points = breakpoints_to_meet(histories_of(process.C), float(times[0]), float(times[-1]))
+    return _apart(np.append(times, points)) if len(points) < len(times) else times
+
+
 def adapt(
     run: Runs,
     process: SweepingProcess,
