@@ -354,7 +354,7 @@ def test_arrows_of_slip_have_a_scale_at_each_time_and_say_how_fast_the_longest_o
         assert longest == pytest.approx(0.08 * width if speed[i] else 0.0)
         assert panel.get_title().endswith(f", slip arrows up to {speed[i]:.2g}")
     # a mean: at the end of a step its nodes may slip below the bound of Tresca
-    assert figure.axes[-1].get_ylabel() == "friction traction / bound\n(± error of the step)"
+    assert figure.axes[-1].get_ylabel() == "friction traction / bound\n(above 1: error of the step)"
 
 
 def test_a_solid_is_rendered_by_pyvista_where_it_is_installed(solid):
