@@ -59,8 +59,9 @@ from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
 FAR = 1e-4
-"""With error=, of it: where Adaptive meets so small a tolerance and the bound does not fall below
-it, the bound stays. In layers of 1 / Lam it met a hundredth at the nodes before a step saw one."""
+"""Share of `error`: if Adaptive meets so small a tolerance and the bound is still above `error`,
+shorter steps do not help. Of 15 runs that begin in a layer of 1 / Lam, which no node sees at first,
+the one that took the smallest tolerance delivered its error at a share of 0.06."""
 
 
 @meaning(
@@ -299,8 +300,8 @@ def _refine(
     """The run whose guaranteed error bound is at most `error`.
 
     Its steps are adaptive, within those that are given, and their tolerance is reduced until the
-    bound is met. No wave of the load is sampled at first, as the bound overlooks none. Ctrl-C
-    during a bound returns the run that it is of.
+    bound is met. The first run need not follow each wave of the load, as the bound overlooks none.
+    Ctrl-C during a bound returns the run that it is of.
     """
     if isinstance(options.steps, Adaptive):
         raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
@@ -319,12 +320,12 @@ def _refine(
     sol = replace(sol, passes=(Pass(len(sol.stats), math.nan, float(sol.stats["seconds"].sum())),))
     while sol.success:
         try:
-            # a run that needs too short a step is whole no more
+            # one that ended where it needs too short a step is not the whole run
             bound = _guaranteed_bound(sol) if sol.t[-1] == times[-1] else math.inf
         except KeyboardInterrupt:
             return replace(sol, status=Status.INTERRUPTED)
         if bound <= error:
-            return _with_all(run, process, asked, sol, callback, progress)
+            return _with_output(run, process, asked, sol, callback, progress)
         if not cause and (tol < FAR * error or (sol.passes[1:] and bound == math.inf)):
             cause = "shorter steps do not help; ask for less"
         if cause:
@@ -360,7 +361,7 @@ def _adapt(
     # errors are estimated, so no scheme is warned of
     asked = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
     sol, cause = adapt(_all_states(run, process, asked, progress), process, options.steps, times)
-    sol = _with_all(run, process, asked, sol, callback, progress)
+    sol = _with_output(run, process, asked, sol, callback, progress)
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
@@ -379,7 +380,7 @@ def _all_states(
     )
 
 
-def _with_all(
+def _with_output(
     run: Callable[..., Solution],
     process: SweepingProcess,
     options: SolveOptions,
