@@ -108,6 +108,13 @@ def test_a_bound_that_is_a_thousandth_above_the_error_is_not_below_that_of_the_r
         assert 1.0 <= row.bound_over_error <= 1.002
 
 
+def test_a_body_that_never_moves_has_no_error_to_compare():
+    for row in stiff_bodies([274411], ["one mass"], ["sines"], (1e6,), [60]):
+        check(row)
+        assert row.error == 0.0
+        assert row.over_best == row.ringing == 1.0
+
+
 @pytest.mark.parametrize("viscosity", [0.0, 1.0])
 def test_auto_is_of_order_two_where_breakpoints_lie_in_steps(viscosity):
     turning = so.Table([0.0, 2.13, 6.31, 10.0], [0.0, 4.0, -4.0, 4.0])

@@ -85,9 +85,12 @@ class Constraints(ConvexSet):
     def __init__(self, dim: int, build: Any) -> None:
         import cvxpy as cp
 
-        self.dim = dimension(dim)
         if not callable(build):
-            raise InputError("build must be a function from a cvxpy Variable to constraints")
+            raise InputError(
+                "build must be a function from a cvxpy Variable to constraints: "
+                "Constraints(dim, lambda w: [cp.norm(w) <= 1])"
+            )
+        self.dim = dimension(dim)
         w = cp.Variable(self.dim)
         try:
             constraints = build(w)

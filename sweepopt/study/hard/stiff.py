@@ -144,6 +144,13 @@ def stiff_bodies(
         yield _judge(StiffRow(body, load, mu_Lam, n, seed), process, bounds)
 
 
+def _ratio(x: float, y: float) -> float:
+    """x / y; 1 where a body that never moves makes both 0."""
+    if y:
+        return float(x / y)
+    return math.inf if x else 1.0
+
+
 def _judge(row: StiffRow, process: SweepingProcess, bounds: bool) -> Any:
     """The row with what a run of a process on [0, 1] is worth."""
     how: Any = {"t_end": 1.0, "steps": row.steps, "tol": TOL, "on_unstable": "ignore"}
@@ -163,9 +170,9 @@ def _judge(row: StiffRow, process: SweepingProcess, bounds: bool) -> Any:
         entries: dict[str, Any] = {
             "scheme": sol.plan.scheme.name,
             "error": error,
-            "over_best": error / min(least),
-            "bound_over_error": bound / between,
-            "ringing": float(rings / changes),
+            "over_best": _ratio(error, min(least)),
+            "bound_over_error": _ratio(bound, between),
+            "ringing": _ratio(rings, changes),
             "false_sticks": int((always & (sol.velocity == 0)).any(axis=1).sum()),
         }
         return entries, {
