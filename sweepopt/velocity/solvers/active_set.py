@@ -11,7 +11,7 @@ Contr. 67, 2022).
 
 The library's own is the last of the cascade, for ill-conditioned bodies. With M = L L^T and
 w = q + L x it seeks the shortest x with  G L x <= h - G q,  z = L^-T x: the condition of L is the
-square root of that of M.
+square root of that of M. Balls are met by half-spaces that touch them.
 """
 
 import contextlib
@@ -28,6 +28,7 @@ from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
     HULL,
     ROUNDING,
+    Balls,
     ConvexSet,
     NoHalfspacesError,
     Polytope,
@@ -111,7 +112,7 @@ def has_daqp() -> bool:
 
 @dataclass(frozen=True)
 class ActiveSet(Small):
-    """The library's own active-set method, for small sets whose rows are known.
+    """The library's own active-set method, for small sets whose rows are known, and for balls.
 
     Parameters
     ----------
@@ -127,16 +128,20 @@ class ActiveSet(Small):
     --------
     >>> from sweepopt.sets import Ball, Box
     >>> ActiveSet().treats(Box(-1.0, 1.0)), ActiveSet().treats(Ball([0.0, 0.0], 1.0))
-    (True, False)
+    (True, True)
     """
 
     name = "active-set"
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether C is small and its rows are known; those of a polytope wait until they count."""
-        if not C.polyhedral or C.dim > self.max_dim:
+        if C.dim > self.max_dim:
             return False
-        return C.dim <= HULL if isinstance(shape_of(C), Polytope) else _rows(C) is not None
+        if isinstance(C, Balls):
+            return bool(C.radii.all())
+        if isinstance(shape_of(C), Polytope):
+            return C.dim <= HULL
+        return C.polyhedral and _rows(C) is not None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Factorise M once; a call starts from no active rows."""
@@ -144,28 +149,70 @@ class ActiveSet(Small):
         lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
         def solve(q: Array, C: ConvexSet) -> Answer:
-            rows, z, corrected = _rows(C), np.zeros_like(q), q
-            if rows is None:  # a polytope that is flat to rounding
-                return Answer(z, status="failed: no rows")
-            G, h = rows
+            z, corrected = np.zeros_like(q), q
             # C has points and M is positive definite: where that is not seen it is rounding
             with contextlib.suppress(EmptySetError, scipy.linalg.LinAlgError):
+                if isinstance(C, Balls):
+                    return _in_balls(lower(), q, C)
+                rows = _rows(C)
+                if rows is None:  # a polytope that is flat to rounding
+                    return Answer(z, status="failed: no rows")
                 # three refinements of what L rounds: without them polyhedra beside jumps of 1e8
                 # are not met
                 for _ in range(4):
-                    L, rounding = lower(), ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(corrected))
-                    shortest = least_distance(G @ L, h - G @ corrected, rounding)
+                    L, shortest = lower(), _shortest(lower(), corrected, *rows)
                     if shortest is None:
                         break
-                    z = scipy.linalg.solve_triangular(L, shortest.u, lower=True, trans=1)
+                    z = scipy.linalg.solve_triangular(L, shortest, lower=True, trans=1)
                     rounded = M.rounding(z, euclidean(q / M.root))
-                    if rounded <= NEGLIGIBLE * euclidean(shortest.u):
+                    if rounded <= NEGLIGIBLE * euclidean(shortest):
                         break
                     # what L L^T misses of M goes to the linear term
                     corrected = M.precisely(z, q, -(L @ (L.T @ z)))
             return Answer(z, iterations=1, status="solved")
 
         return solve
+
+
+def _shortest(L: Array, q: Array, G: Array, h: Array) -> Array | None:
+    """The shortest x with G (q + L x) <= h."""
+    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(q))
+    shortest = least_distance(G @ L, h - G @ q, rounding)
+    return None if shortest is None else shortest.u
+
+
+def _in_balls(L: Array, q: Array, C: Balls) -> Answer:
+    """For balls: sequential quadratic programming.
+
+    At a point w_k of C half-spaces <n, w> <= r touch the balls, and their multipliers y bend the
+    objective along the spheres:
+
+        min |w - q|^2_{M^-1} + |w - w_k|^2_K,    K = (y / r) (1 - n n^T) for each ball,
+
+    whose metric is that of L R^-T, R R^T = 1 + L^T K L. Where multipliers fall their bend falls by
+    no more than 4 a step: without it some steps go round in circles.
+    """
+    q = q - C.center
+    w, z, bend, one = q, 0.0 * q, 0.0 * C.radii, np.eye(len(q))
+    owner = np.repeat(np.arange(len(bend)), C.block)
+    balls = (owner == np.arange(len(bend))[:, None]).astype(float)
+    for _ in range(50):
+        size = np.sqrt(balls @ w**2)
+        normal = w / np.where(size > 0, size, 1.0)[owner]
+        before, G = normal * np.minimum(size, C.radii)[owner], balls * normal
+        K = np.diag(bend[owner]) - G.T @ (bend[:, None] * G)
+        R = scipy.linalg.cholesky(one + L.T @ K @ L, lower=True)
+        metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
+        bent = metric.T @ (K @ (before - q))
+        shortest = _shortest(metric, q + metric @ bent, G, C.radii)
+        if shortest is None:
+            break
+        x = scipy.linalg.solve_triangular(R, bent + shortest, lower=True, trans=1)
+        w, z = q + L @ x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
+        if (np.abs(w - before) <= ROUNDING * C.radii[owner]).all():
+            break
+        bend = np.maximum(-G @ z / C.radii, bend / 4)
+    return Answer(z, iterations=1, status="solved")
 
 
 def _rows(C: ConvexSet) -> tuple[Array, Array] | None:
