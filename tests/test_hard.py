@@ -95,6 +95,7 @@ def test_combinations_drawn_by_chance_are_met(seed):
         pytest.param(0, 3, id="a polyhedron in mixed units, B up to 1e10"),
         pytest.param(2, 0, id="B of rank one"),
         pytest.param(114, 41, id="discs across cells from 1 to 1e-6"),
+        pytest.param(90210, 36, id="discs across needles of triangles, in mixed units"),
     ],
 )
 def test_combinations_that_were_wrong_once(seed, number):
