@@ -5,8 +5,8 @@ generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v
 is the primal-dual active-set method: stuck entries get z = 0 at once, slipping ones solve a linear
 system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
 within one step: it stops first, or a warm start would have whole contact zones flip to and fro. The
-method may still cycle far from the solution: another solver takes over then. Where M is sparse and D
-has small blocks, so is the system.
+method may still cycle far from the solution: another solver takes over then. Where M is sparse and
+D has small blocks, so is the system.
 """
 
 import math
