@@ -113,8 +113,9 @@ class Effect(Protocol):
     - ``pulled``: the name of a boundary, or a tuple of names, that pictures mark as pulled.
     - ``flows``: True if the body may have plugs (regions that are rigid below a yield stress),
       which the picture "flow" shows.
-    - ``among(effects, body)``: the effect beside all others of its scene, completed by what it
-      takes from them; it raises if it does not go with them.
+
+    ``body.effects`` are all effects of the scene, so that one can take from others what it needs,
+    or refuse to act beside them.
 
     Examples
     --------
@@ -690,21 +691,19 @@ class Eigenstrain(Record):
         """One term of the load."""
         if body.components == 1:
             raise InputError("strain: an isotropic strain does nothing in antiplane shear")
+        if body.kind == "plane stress" and any(
+            hasattr(one, "plastic_strain") for one in body.effects
+        ):
+            raise InputError(
+                "strain: in plane stress an eigenstrain beside plasticity is not offered: the "
+                "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
+            )
         place = body.place("strain", (BODY,), strains=True)
         strain, E, nu = self.values_at(place)
         _check_compressible(nu)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
         f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
         return Contribution(loads=[(self.history, body.restrict(f))])
-
-    def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:
-        """In plane stress not beside plasticity."""
-        if body.kind == "plane stress" and any(hasattr(one, "plastic_strain") for one in effects):
-            raise InputError(
-                "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
-                "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
-            )
-        return self
 
     def stress(self, body: Discretisation) -> Stress | None:
         """It has no deviator, but for that of the strain across the plane in plane stress."""

@@ -20,8 +20,7 @@ an elastic body, -lam/(lam + 2 G) (e_xx + e_yy).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,7 +30,6 @@ from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
 from sweepopt.fem.effects import (
     Contribution,
-    Effect,
     Kinematics,
     Record,
     Stress,
@@ -68,15 +66,11 @@ class Plasticity(Record):
     on : str or sequence of str
         Subdomains; "body" for all of it.
 
-    Attributes
-    ----------
-    elasticity : Effect or None
-        That of the scene, which sets it: `Elasticity` without a tensor, or one of your own.
-
     Raises
     ------
     InputError
-        If a value is negative or not finite, or nothing hardens somewhere: perfect plasticity.
+        If a value is negative or not finite, or nothing hardens somewhere: perfect plasticity; if
+        the scene has no elasticity, several, or one with a tensor.
 
     Examples
     --------
@@ -89,17 +83,7 @@ class Plasticity(Record):
     Hi: Datum = 0.0
     eta: Datum = 0.0
     on: Sequence[str] = (BODY,)
-    elasticity: Any = field(default=None, init=False)
     data = COEFFICIENTS
-
-    def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:
-        """With the elasticity of the scene, if there is one."""
-        elastic = [one for one in effects if hasattr(one, "lame")]
-        if len(elastic) != 1:
-            return self
-        complete = replace(self)
-        object.__setattr__(complete, "elasticity", elastic[0])
-        return complete
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
@@ -142,10 +126,11 @@ class Plasticity(Record):
         )
 
     def _moduli(self, body: Discretisation, place: Place) -> list[Array]:
-        """lam and mu at points."""
-        if self.elasticity is None:
+        """lam and mu of the scene's elasticity at points."""
+        elastic = [one for one in body.effects if hasattr(one, "lame")]
+        if len(elastic) != 1:
             raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
-        lam, mu = self.elasticity.lame(body, place)
+        lam, mu = elastic[0].lame(body, place)
         if mu is None:
             raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
         return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -422,8 +423,8 @@ def build(
     """A scene from effects by the label that errors shall give them."""
     _check_words(**settings)
     steps = settings["steps"]
-    space, effects = _resolve(space, effects)
-    vars(space)["start"] = float(entries("steps", steps)[0]) if axes(steps) else 0.0
+    start = float(entries("steps", steps)[0]) if axes(steps) else 0.0
+    space = _with_effects(space, effects, start)
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
@@ -476,10 +477,10 @@ def _check_words(units: Any, title: Any, **_: Any) -> None:
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
 
 
-def _resolve(
-    space: Discretisation, effects: Mapping[str, Effect]
-) -> tuple[Discretisation, dict[str, Effect]]:
-    """The space, turned where effects need it, and each effect with what it takes from others."""
+def _with_effects(
+    space: Discretisation, effects: Mapping[str, Effect], start: float
+) -> Discretisation:
+    """The body of a scene: with its effects, and turned where these need it."""
     turned = list(space.turned)
     for label, one in effects.items():
         if isinstance(one, type) or not hasattr(one, "contribute"):
@@ -492,11 +493,9 @@ def _resolve(
             turned += [name for name in names if name in (space.mesh.boundaries or {})]
     if turned != list(space.turned):
         space = space.with_unknowns(turned=tuple(dict.fromkeys(turned)))
-    every = list(effects.values())
-    return space, {
-        label: one.among(every, space) if hasattr(one, "among") else one
-        for label, one in effects.items()
-    }
+    space = copy(space)
+    vars(space).update(effects=tuple(effects.values()), start=start)
+    return space
 
 
 @contextmanager
