@@ -574,10 +574,9 @@ def _problem(
     if slipping:
         return SweepingProcess(A, B, StateDependent(at, sum(slipping), histories), u0, fields)
     C = MovingSet(at, A.shape[0], histories)
-    if (parts := by_history(yields)) is not None:
-        rest, moving = parts
-        constant: Any = -dissipation(rest)() if rest else Point(np.zeros(A.shape[0]))
-        scaled = tuple((phi, -dissipation(some)()) for phi, some in moving)
+    if parts := [(phi, -dissipation(some)()) for phi, some in by_history(yields)]:
+        constant = next((S for phi, S in parts if phi is None), Point(np.zeros(A.shape[0])))
+        scaled = tuple((phi, S) for phi, S in parts if phi is not None)
         C.summands = Summands(() if force is None else force.terms, constant, scaled)
     return SweepingProcess(A, B, C, u0, fields)
 
