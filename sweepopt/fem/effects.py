@@ -156,7 +156,7 @@ def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
 
 def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
     """2 mu dev e(u) at the points of strains, shape (k, cells, points, s)."""
-    place = body.place("stress", (BODY,), strains=True)
+    place = body.whole
     lam, mu = moduli(body, place)
     free = body.with_unknowns(clamped=(), held={}, turned=())
     rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
@@ -497,7 +497,7 @@ class BodyForce(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(loads=[_force(body, self, self.f0, (BODY,))])
+        return Contribution(loads=[_force(body, self, self.f0)])
 
 
 @dataclass(frozen=True)
@@ -698,7 +698,7 @@ class Eigenstrain(Record):
                 "strain: in plane stress an eigenstrain beside plasticity is not offered: the "
                 "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
             )
-        place = body.place("strain", (BODY,), strains=True)
+        place = body.whole
         strain, E, nu = self.values_at(place)
         _check_compressible(nu)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
@@ -744,7 +744,7 @@ class YieldStress(Record):
                 "g: yield stress is for antiplane shear; vectors need an incompressible"
                 " element, which is not offered"
             )
-        place = body.place("on", (BODY,), strains=True)
+        place = body.whole
         (g,), dx = self.values_at(place), place.basis.dx
         weight, block = dx.sum(axis=1), body.mesh.dim() * dx.shape[1]
         share = place.shares
@@ -941,7 +941,7 @@ def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[i
 
 def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
-    place = body.place("on", (BODY,), strains=True)
+    place = body.whole
     strain, law = strains_of(body), _hooke(body, *moduli(body, place), tensor)
 
     def form(u: Any, v: Any, _: Any) -> Any:
@@ -956,7 +956,8 @@ def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
     if size and abs(restricted).sum() <= TURNED * size:
-        raise InputError(f"on: all of {', '.join(on)} is clamped or held; nothing moves there")
+        where = ", ".join(on) or BODY
+        raise InputError(f"on: all of {where} is clamped or held; nothing moves there")
     return restricted
 
 
@@ -968,12 +969,12 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
 
 
 def _force(
-    body: Discretisation, effect: BodyForce | Traction, data: Any, on: Sequence[str]
+    body: Discretisation, effect: BodyForce | Traction, data: Any, on: Sequence[str] = ()
 ) -> Force:
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
     place, (coefficient,) = body.place("on", on, nodal=body.lumped), effect.data
     several = isinstance(data, (list, tuple))
-    along_normal = not several and tuple(on) != (BODY,)
+    along_normal = bool(on) and not several
     parts = coefficient.parts(data, 1 if along_normal else body.components)
 
     def shape(t: float) -> Array:

@@ -43,7 +43,7 @@ from sweepopt.fem.effects import (
 )
 from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
-from sweepopt.fem.spaces import BODY, Discretisation, boundary_names
+from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, folder_at
 from sweepopt.linalg import require_semidefinite
@@ -192,8 +192,7 @@ class Scene(Displayed):
         total = np.zeros((len(u), 1, 1, 1))
         for law, at in laws:
             total = total + law(Kinematics(u, rate, states[:, at]))
-        shares = body.place("stress", (BODY,), strains=True).shares
-        mean = np.einsum("cp,kcps->kcs", shares, total)
+        mean = np.einsum("cp,kcps->kcs", body.whole.shares, total)
         return np.linalg.norm(mean, axis=2) * np.sqrt(0.5 if body.components == 1 else 1.5)
 
     def stress_laws(self) -> list[tuple[Stress, slice]]:

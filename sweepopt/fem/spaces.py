@@ -200,6 +200,11 @@ class Discretisation(Brief):
             rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
         return skfem.CellBasis(self.mesh, self._element, intorder=order, quadrature=rule)
 
+    @property
+    def whole(self) -> Place:
+        """All of the body, with the quadrature of strains."""
+        return Place(self.basis, self.mesh.subdomains or {}, self.scalar.element_dofs)
+
     @cached_property
     def nodes(self) -> Indices:
         """Degrees of freedom in `basis` of each component at each node, shape (components, N)."""
@@ -429,6 +434,7 @@ class Discretisation(Brief):
         what : str
             The argument that names them, for errors.
         on : sequence of str
+            Empty is all of it, whatever has the name "body".
         nodal : bool
             With the scalar element and a quadrature whose points are the nodes.
         strains : bool
@@ -438,16 +444,16 @@ class Discretisation(Brief):
         inside, degree = self.mesh.subdomains or {}, self.scalar.elem.maxdeg
         nodes, groups, d = self.scalar.element_dofs, dict[str, Indices](inside), self.mesh.dim()
         kind, parts, rule = skfem.CellBasis, dict[str, Indices](), None
-        if all(name in inside for name in on):
+        if on and all(name in inside for name in on):
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
             nodes, parts = nodes[:, cells], {"elements": cells}
-        elif tuple(on) != (BODY,) or BODY in (self.mesh.boundaries or {}):
+        elif on and (tuple(on) != (BODY,) or BODY in (self.mesh.boundaries or {})):
             facets, groups = self.facets(what, on)
             kind, parts, d = skfem.FacetBasis, {"facets": facets}, d - 1
             nodes = self.facet_nodes(facets)
         elif strains:
-            return Place(self.basis, groups, nodes)
+            return self.whole
         if nodal:
             rule = self.rule(d)
         elif strains and kind is skfem.CellBasis:
