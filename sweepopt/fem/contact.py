@@ -349,7 +349,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
         metric = None
         if law.axes is not None:
-            metric = _metric(body, columns.reshape(-1, block), k, law.axes)
+            metric = _metric(body, columns, block, law.axes)
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
@@ -366,13 +366,12 @@ def _thresholds(law: Friction, place: Place, size: int, t: float, phi: float = 1
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 
 
-def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
-    """|diag(axes) v|^2 for the velocity v = sum of directions of a node times its unknowns."""
-    scale = vector("axes", axes, body.components)
-    dofs = body.nodes.T[nodes]
-    R = np.array([body.extension[i][:, k].toarray() for i, k in zip(dofs, columns, strict=True)])
-    scaled = scale[:, None] * R
-    return np.asarray(np.swapaxes(scaled, 1, 2) @ scaled)
+def _metric(body: Discretisation, unknowns: Indices, block: int, axes: Any) -> Array:
+    """|diag(axes) v|^2 of the velocity v at a node, of the unknowns there, block by block."""
+    scale = np.empty(body.nodes.size)
+    scale[body.nodes] = vector("axes", axes, body.components)[:, None]
+    R = sp.diags_array(scale) @ body.extension[:, unknowns]
+    return sp.bsr_array(R.T @ R, blocksize=(block, block)).data
 
 
 def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:

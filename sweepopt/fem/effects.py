@@ -459,8 +459,7 @@ class Friction(Record):
                 f"{shown(self.slip)}"
             )
         if self.axes is not None:
-            axes = [number("axes", one, 0.0, strict=True) for one in listed("axes", self.axes)]
-            object.__setattr__(self, "axes", tuple(axes))
+            object.__setattr__(self, "axes", listed("axes", self.axes, number, 0.0, True))
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""

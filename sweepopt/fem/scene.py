@@ -235,7 +235,7 @@ class Scene(Displayed):
 
     @with_checks
     def plot(self, solution: Solution, picture: str = "") -> Any:
-        """A picture of a run, one of PICTURES; by default the first of those of `sweepopt run`.
+        """A picture of a run, one of PICTURES; by default the first that fits.
 
         Returns
         -------
@@ -246,11 +246,7 @@ class Scene(Displayed):
         InputError
             If the picture does not fit the scene.
         """
-        names = [picture] if picture else pictures.pictures_of(self)
-        if not names:
-            known = ", ".join(pictures.PICTURES)
-            raise InputError(f"picture: none fits the scene of itself; name one of {known}")
-        return pictures.draw(output.Report(self, solution), names[0])
+        return pictures.draw(output.Report(self, solution), picture)
 
     @with_checks
     def write(self, solution: Solution, folder: str | Path) -> Path:
@@ -432,7 +428,7 @@ def build(
         for label, one in zip(effects, internal, strict=True)
         if one.stop > one.start
     }
-    parts = _on_all_unknowns(space.dim, parts, size)
+    parts = _on_all_unknowns(space.dim, parts, internal)
     A, B = total(parts, "A"), total(parts, "B")
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
@@ -634,15 +630,15 @@ def _valid_contribution(part: Any, space: Discretisation, own: bool) -> Contribu
     return part
 
 
-def _on_all_unknowns(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
+def _on_all_unknowns(
+    dim: int, parts: Sequence[Contribution], internal: Sequence[slice]
+) -> list[Contribution]:
     """The parts on all unknowns: internal ones follow those of the body in order."""
-    if size == dim:
+    if not internal or internal[-1].stop == dim:
         return list(parts)
-    first, placed = dim, []
-    for part in parts:
-        at = np.concatenate([np.arange(dim), np.arange(first, first + part.internal)])
-        first += part.internal
-        E = sp.eye_array(size, format="csr")[at]
+    placed = []
+    for part, own in zip(parts, internal, strict=True):
+        E = sp.eye_array(internal[-1].stop, format="csr")[np.r_[:dim, own]]
         A, B = (
             None if M is None else sp.csc_array(E[: M.shape[0]].T @ M @ E[: M.shape[0]])
             for M in (part.A, part.B)
