@@ -496,7 +496,8 @@ class BodyForce(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(loads=[_force(body, self, self.f0)])
+        place = body.place("on", (), nodal=body.lumped)
+        return Contribution(loads=[_force(body, self, self.f0, place)])
 
 
 @dataclass(frozen=True)
@@ -533,8 +534,8 @@ class Traction(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        body.facets("on", self.on)
-        return Contribution(loads=[_force(body, self, self.f2, self.on)])
+        place = body.on_boundary("on", self.on, nodal=body.lumped)
+        return Contribution(loads=[_force(body, self, self.f2, place)])
 
 
 @dataclass(frozen=True)
@@ -627,8 +628,7 @@ class PrescribedDisplacement(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
-        body.facets("on", self.on)
-        place, (coefficient,) = body.place("on", self.on, nodal=True), self.data
+        place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
         full = np.zeros(body.nodes.size)
         for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
             full[dofs[place.nodes.T]] = place.values(coefficient, datum)
@@ -955,8 +955,7 @@ def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
     if size and abs(restricted).sum() <= TURNED * size:
-        where = ", ".join(on) or BODY
-        raise InputError(f"on: all of {where} is clamped or held; nothing moves there")
+        raise InputError(f"on: all of {', '.join(on)} is clamped or held; nothing moves there")
     return restricted
 
 
@@ -967,13 +966,11 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     return _restrict(body, effect.on, place.matrix(lambda u, v, _: c * inner(u, v)))
 
 
-def _force(
-    body: Discretisation, effect: BodyForce | Traction, data: Any, on: Sequence[str] = ()
-) -> Force:
+def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place: Place) -> Force:
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
-    place, (coefficient,) = body.place("on", on, nodal=body.lumped), effect.data
+    (coefficient,) = effect.data
     several = isinstance(data, (list, tuple))
-    along_normal = bool(on) and not several
+    along_normal = hasattr(place.basis, "normals") and not several
     parts = coefficient.parts(data, 1 if along_normal else body.components)
 
     def shape(t: float) -> Array:
@@ -985,6 +982,6 @@ def _force(
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(_restrict(body, on, place.vector(form)))
+        return np.asarray(_restrict(body, getattr(effect, "on", (BODY,)), place.vector(form)))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

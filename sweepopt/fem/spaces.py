@@ -216,8 +216,7 @@ class Discretisation(Brief):
     def frame(self) -> Frame:
         """At each node the directions of its degrees of freedom, those that are held first."""
         all_held = dict.fromkeys(self.clamped or (), AXES[: self.components])
-        boundaries = [*all_held.items(), *self.held.items()]
-        return frame_of(self, [(self.facets("held", [name])[0], what) for name, what in boundaries])
+        return frame_of(self, [*all_held.items(), *self.held.items()])
 
     def with_unknowns(self, **fields: Any) -> Discretisation:
         """The same with other values of `clamped`, `held` or `turned`."""
@@ -441,30 +440,41 @@ class Discretisation(Brief):
             With the quadrature of `basis`, in cells; the other has an order two above what
             products of u on straight edges need.
         """
-        inside, degree = self.mesh.subdomains or {}, self.scalar.elem.maxdeg
-        nodes, groups, d = self.scalar.element_dofs, dict[str, Indices](inside), self.mesh.dim()
-        kind, parts, rule = skfem.CellBasis, dict[str, Indices](), None
+        inside, boundaries = self.mesh.subdomains or {}, self.mesh.boundaries or {}
+        cells, groups, rule = np.arange(self.mesh.nelements), dict[str, Indices](inside), None
+        if not strains and (both := [one for one in on if one in inside and one in boundaries]):
+            raise InputError(
+                f"{what}: {both[0]!r} is a boundary and a subdomain; give one another name"
+            )
         if on and all(name in inside for name in on):
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
-            nodes, parts = nodes[:, cells], {"elements": cells}
-        elif on and (tuple(on) != (BODY,) or BODY in (self.mesh.boundaries or {})):
-            facets, groups = self.facets(what, on)
-            kind, parts, d = skfem.FacetBasis, {"facets": facets}, d - 1
-            nodes = self.facet_nodes(facets)
+        elif on and (tuple(on) != (BODY,) or BODY in boundaries):
+            return self.on_boundary(what, on, nodal=nodal)
         elif strains:
             return self.whole
         if nodal:
-            rule = self.rule(d)
-        elif strains and kind is skfem.CellBasis:
+            rule = self.rule(self.mesh.dim())
+        elif strains:
             rule = self.basis.quadrature
-        element = self.scalar.elem if nodal else self._element
-        basis = kind(self.mesh, element, intorder=2 * degree + 2, quadrature=rule, **parts)
-        if nodal and self.lumped and kind is skfem.CellBasis:
+        basis = self._integrals(skfem.CellBasis, nodal, quadrature=rule, elements=cells)
+        if nodal and self.lumped:
             # each node counts as one, in however many cells it is
             times = np.bincount(basis.element_dofs.ravel(), minlength=basis.N)
             basis.dx = 1.0 / times[basis.element_dofs.T]
-        return Place(basis, groups, nodes)
+        return Place(basis, groups, self.scalar.element_dofs[:, cells])
+
+    def on_boundary(self, what: str, names: Sequence[str], *, nodal: bool = False) -> Place:
+        """Boundaries alone, whatever subdomain has their name; arguments as of `place`."""
+        facets, groups = self.facets(what, names)
+        rule = self.rule(self.mesh.dim() - 1) if nodal else None
+        basis = self._integrals(skfem.FacetBasis, nodal, quadrature=rule, facets=facets)
+        return Place(basis, groups, self.facet_nodes(facets))
+
+    def _integrals(self, kind: Any, nodal: bool, **parts: Any) -> Any:
+        """A basis of scikit-fem on cells or facets."""
+        element = self.scalar.elem if nodal else self._element
+        return kind(self.mesh, element, intorder=2 * self.scalar.elem.maxdeg + 2, **parts)
 
     def rule(self, dimension: int) -> tuple[Array, Array]:
         """A quadrature on cells or facets whose points are the nodes, in their order.
