@@ -262,11 +262,13 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     return value
 
 
-def listed(name: str, value: Any) -> tuple[Any, ...]:
-    """A list with one entry or more."""
+def listed(
+    name: str, value: Any, check: Callable[..., Any] = lambda _, entry: entry, *limits: Any
+) -> tuple[Any, ...]:
+    """A list with one entry or more, each of them checked by its name, such as "cells[0]"."""
     if not isinstance(value, (list, tuple)) or not value:
         raise InputError(f"{name} must be a list with one entry or more, got {shown(value)}")
-    return tuple(value)
+    return tuple(check(f"{name}[{k}]", entry, *limits) for k, entry in enumerate(value))
 
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> Array:

@@ -243,7 +243,7 @@ def _run(options: argparse.Namespace) -> int:
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
     drawn = [f"{name}.png" for name in pictures.pictures_of(scene)]
     if options.animate:
-        drawn.append(f"{pictures.animated(scene)}.gif")
+        drawn.append(f"{pictures.choose(scene, '', pictures.FIELDS)}.gif")
     folder = folder_at("--out", options.out or Path("results") / path.stem)
     process, started = scene.process, clock.perf_counter()
     solving = SolveOptions(

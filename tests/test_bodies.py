@@ -523,3 +523,30 @@ def test_discs_are_not_glued_and_a_bound_that_turns_negative_is_named():
     message = r"at t = 0.55: effects\[2\].g times its history must be >= 0, got -0.1"
     with pytest.raises(so.InputError, match=message):
         fem.body(sheet, [*parts, falls]).solve(t_end=1.0, steps=4)
+
+
+def test_elasticity_and_body_forces_act_on_the_whole_body_whatever_is_called_body():
+    mesh = grid([2.0, 1.0], [4, 2])
+    named = mesh.with_boundaries(mesh.boundaries | {"body": mesh.boundaries["right"]})
+    half = mesh.with_subdomains({"body": np.arange(8), "other": np.arange(8, 16)})
+    effects = [Viscosity(1.0), Elasticity(2.0), BodyForce(so.Constant(), f0=3.0)]
+    whole, *others = (body(Discretisation(one, "left"), effects) for one in (mesh, named, half))
+    for other in others:
+        assert abs(other.problem.A - whole.problem.A).sum() == 0.0
+        assert abs(other.problem.B - whole.problem.B).sum() == 0.0
+        assert np.array_equal(other.load(0.0), whole.load(0.0))
+
+
+def test_a_boundary_with_the_name_of_a_subdomain_is_pulled_and_held_as_any_other():
+    mesh = grid([2.0, 1.0], [4, 2])
+    both = mesh.with_subdomains({"right": np.arange(8), "other": np.arange(8, 16)})
+    pull, hold = (
+        Traction("right", so.Constant(), f2=3.0),
+        PrescribedDisplacement("right", so.Sine(1.0, period=4.0)),
+    )
+    pulled = [body(Discretisation(one, "left"), [MATERIAL[0], pull]) for one in (mesh, both)]
+    assert np.array_equal(*(scene.load(0.0) for scene in pulled))
+    ends = [Discretisation(one, ["left", "right"]) for one in (mesh, both)]
+    assert np.array_equal(*(body(one, [MATERIAL[0], hold]).lifts[0][1] for one in ends))
+    with pytest.raises(so.InputError, match="on: 'right' is a boundary and a subdomain"):
+        body(ends[1], [MATERIAL[0], Friction("right", g=1.0)])

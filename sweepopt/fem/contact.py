@@ -146,24 +146,19 @@ def _require_bounds(name: str, values: Any) -> None:
         raise InputError(f"{name} must be >= 0, got {np.min(values):g}{remedy}")
 
 
-def by_history(
-    yields: Sequence[Yield],
-) -> tuple[list[Yield], list[tuple[Any, list[Yield]]]] | None:
-    """Those whose bounds rest, and for each history those that it multiplies.
+def by_history(yields: Sequence[Yield]) -> list[tuple[Any, list[Yield]]]:
+    """For each history the yields whose bounds it multiplies, for None those whose bounds rest.
 
-    None where a bound moves in another way.
+    Empty where a bound moves in another way.
     """
-    constant: list[Yield] = []
-    moving: dict[int, tuple[Any, list[Yield]]] = {}
+    groups: dict[int, tuple[Any, list[Yield]]] = {}
     for one in yields:
-        if isinstance(one.g, Separable) and len(one.g.terms) == 1:
-            ((phi, g),) = one.g.terms
-            moving.setdefault(id(phi), (phi, []))[1].append(replace(one, g=g))
-        elif callable(one.g):
-            return None
-        else:
-            constant.append(one)
-    return constant, list(moving.values())
+        terms = one.g.terms if isinstance(one.g, Separable) else [(None, one.g)]
+        (phi, g), *others = terms
+        if others or callable(g):
+            return []
+        groups.setdefault(id(phi), (phi, []))[1].append(replace(one, g=g))
+    return list(groups.values())
 
 
 def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
@@ -229,9 +224,9 @@ class Contact(Brief):
         Name of the boundary or subdomain it is on.
     arc : ndarray, shape (m,)
         Arc length along the boundaries, one after the other; nan where there is no curve.
-    weight, bound : ndarray, shape (m,)
-        w_k (a length, an area or a volume) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound
-        that moves that at the start.
+    weight, threshold : ndarray, shape (m,)
+        w_k (a length, an area or a volume) and the friction forces w_k g_k at which the nodes slip,
+        of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound that moves that at the start.
     """
 
     unknown: Indices
@@ -240,15 +235,15 @@ class Contact(Brief):
     boundary: NDArray[np.str_]
     arc: Array
     weight: Array
-    bound: Array
+    threshold: Array
 
     def __len__(self) -> int:
         return int(self.unknown.shape[0])
 
     @property
-    def threshold(self) -> Array:
-        """Friction forces ``w_k g_k`` at which the nodes slip, shape (m,)."""
-        return self.weight * self.bound
+    def bound(self) -> Array:
+        """g_k, shape (m,)."""
+        return self.threshold / self.weight
 
     @property
     def shares(self) -> Array:
@@ -267,32 +262,33 @@ class Contact(Brief):
 
 
 def merged(contacts: Sequence[Contact]) -> Contact | None:
-    """All nodes with friction of a scene; a node that two share counts once, with both weights."""
-    if len(contacts) < 2:
-        return contacts[0] if contacts else None
+    """All nodes with friction of a scene; a node that two share counts once, with both weights.
+
+    Those of each effect have a row of unknowns for each node.
+    """
+    if not contacts:
+        return None
 
     def joined(name: str) -> Any:
         return np.concatenate([getattr(one, name) for one in contacts])
 
-    unknown, keep, owner = _owners(contacts)
-    sums = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
-    weight, threshold = (one.astype(float) for one in sums)
+    keep, owner = _owners(contacts)
+    weight, threshold = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
-    return Contact(unknown[keep], node, points, boundary, arc[keep], weight, threshold / weight)
+    unknown = joined("unknown")[keep]
+    if (unknown >= 0).sum(axis=1).max() == 1:
+        unknown = unknown.max(axis=1)
+    return Contact(unknown, node, points, boundary, arc[keep], weight, threshold)
 
 
-def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
-    """Unknowns of the nodes of all, the first nodes with each, and whose unknowns each node has."""
-    rows = [one.unknown.reshape(len(one), -1) for one in contacts]
-    width = max(row.shape[1] for row in rows)
-    gaps = [((0, 0), (0, width - row.shape[1])) for row in rows]
-    unknown = np.vstack([np.pad(*one, constant_values=-1) for one in zip(rows, gaps, strict=True)])
-    _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
+def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices]:
+    """The first node with each row of unknowns, and at which of these each node is."""
+    rows = np.vstack([one.unknown for one in contacts])
+    _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     keep = np.sort(first)
-    owner = np.searchsorted(keep, first[group.ravel()])
-    return unknown if width > 1 else unknown.ravel(), keep, owner
+    return keep, np.searchsorted(keep, first[group.ravel()])
 
 
 def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
@@ -332,7 +328,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
             "history and t out"
         )
     boundary = hasattr(place.basis, "normals")
-    along, names, arc = (_curve if boundary and body.mesh.dim() == 2 else _cloud)(body, place)
+    along, names, arc = _nodes_of(body, place)
     first = np.sort(np.unique(along, return_index=True)[1])
     node = along[first]
     unknown = body.unknowns(node, tangential=boundary)
@@ -340,7 +336,6 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     if not sizes.any():
         raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
     keep = (sizes > 0) & (weight[node] > 0.0) & (by_formula | (threshold[node] > 0.0))
-    several = body.components - boundary > 1
     yields = []
     for block in np.unique(sizes[keep]).tolist():
         mine = keep & (sizes == block)
@@ -349,13 +344,12 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         bound = threshold[k] / weight[k]
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
-        slips = some if several else columns
-        contact = Contact(slips, k, body.points[k], names[at], arc[at], weight[k], bound)
+        contact = Contact(some, k, body.points[k], names[at], arc[at], weight[k], threshold[k])
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
         metric = None
         if law.axes is not None:
-            metric = _metric(body, columns.reshape(-1, block), k, law.axes)
+            metric = _metric(body, columns, block, law.axes)
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
@@ -372,36 +366,34 @@ def _thresholds(law: Friction, place: Place, size: int, t: float, phi: float = 1
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 
 
-def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
-    """|diag(axes) v|^2 for the velocity v = sum of directions of a node times its unknowns."""
-    scale = vector("axes", axes, body.components)
-    dofs = body.nodes.T[nodes]
-    R = np.array([body.extension[i][:, k].toarray() for i, k in zip(dofs, columns, strict=True)])
-    scaled = scale[:, None] * R
-    return np.asarray(np.swapaxes(scaled, 1, 2) @ scaled)
+def _metric(body: Discretisation, unknowns: Indices, block: int, axes: Any) -> Array:
+    """|diag(axes) v|^2 of the velocity v at a node, of the unknowns there, block by block."""
+    scale = np.empty(body.nodes.size)
+    scale[body.nodes] = vector("axes", axes, body.components)[:, None]
+    R = sp.diags_array(scale) @ body.extension[:, unknowns]
+    return sp.bsr_array(R.T @ R, blocksize=(block, block)).data
 
 
-def _cloud(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
-    """Nodes with the names of the groups they are in, in no order."""
-    nodes = place.nodes.T
-    names = np.full(nodes.shape, "body", dtype=object)
-    for name, members in place.groups.items():
-        names[members] = name
-    return nodes.ravel(), names.ravel().astype(str), np.full(nodes.size, np.nan)
+def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
+    """The nodes of all cells in turn, the names of their groups, and their arc lengths.
 
-
-def _curve(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
-    """Nodes of edges, walked with the body on the left: the outward normal is on the right."""
+    Edges are walked with the body on the left: the outward normal is on the right.
+    """
     nodes, groups = place.nodes.T, place.groups
-    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
-    normal_x, normal_y = place.basis.normals.mean(axis=2)
-    along = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
-    order = np.concatenate([mine[_walk(body.points, along[mine])] for mine in groups.values()])
-    length = place.basis.dx[order].sum(axis=1)
-    ends = np.cumsum(length)
-    arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1).ravel()
-    names = np.repeat(list(groups), [nodes.shape[1] * len(mine) for mine in groups.values()])
-    return along[order].ravel(), names, arc
+    names = np.full(nodes.shape, "body", dtype=object)
+    for name, members in groups.items():
+        names[members] = name
+    arc = np.full(nodes.shape, np.nan)
+    if hasattr(place.basis, "normals") and body.mesh.dim() == 2:
+        x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
+        normal_x, normal_y = place.basis.normals.mean(axis=2)
+        nodes = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
+        order = np.concatenate([mine[_walk(body.points, nodes[mine])] for mine in groups.values()])
+        length = place.basis.dx[order].sum(axis=1)
+        ends = np.cumsum(length)
+        arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1)
+        nodes, names = nodes[order], names[order]
+    return nodes.ravel(), names.ravel().astype(str), arc.ravel()
 
 
 def _walk(points: Array, along: Indices) -> list[int]:
@@ -533,7 +525,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
     rubbing = [one for one in scene.yields if one.contact is not None]
-    _, keep, owner = _owners([part for one in rubbing if (part := one.contact)])
+    keep, owner = _owners([part for one in rubbing if (part := one.contact)])
     force, sizes, radii = [], [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z

@@ -13,7 +13,14 @@ import numpy as np
 from sweepopt.checks import at_path, count
 from sweepopt.errors import InputError
 from sweepopt.fem.scene import Scene
-from sweepopt.fem.scene_file import changed, effect_tables, load_scene, read_scene, remaining
+from sweepopt.fem.scene_file import (
+    changed,
+    effect_tables,
+    load_scene,
+    names_of,
+    read_scene,
+    remaining,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -57,7 +64,7 @@ def compare_effects(
     """
     import pandas as pd
 
-    steps = count("steps", steps)
+    steps, without = count("steps", steps), names_of(without)
     data, folder, where = load_scene(source)
     with at_path(where):
         data = changed(data, changes or {})

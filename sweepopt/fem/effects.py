@@ -113,8 +113,9 @@ class Effect(Protocol):
     - ``pulled``: the name of a boundary, or a tuple of names, that pictures mark as pulled.
     - ``flows``: True if the body may have plugs (regions that are rigid below a yield stress),
       which the picture "flow" shows.
-    - ``among(effects, body)``: the effect beside all others of its scene, completed by what it
-      takes from them; it raises if it does not go with them.
+
+    ``body.effects`` are all effects of the scene, so that one can take from others what it needs,
+    or refuse to act beside them.
 
     Examples
     --------
@@ -155,7 +156,7 @@ def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
 
 def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
     """2 mu dev e(u) at the points of strains, shape (k, cells, points, s)."""
-    place = body.place("stress", (BODY,), strains=True)
+    place = body.whole
     lam, mu = moduli(body, place)
     free = body.with_unknowns(clamped=(), held={}, turned=())
     rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
@@ -458,8 +459,7 @@ class Friction(Record):
                 f"{shown(self.slip)}"
             )
         if self.axes is not None:
-            axes = [number("axes", one, 0.0, strict=True) for one in listed("axes", self.axes)]
-            object.__setattr__(self, "axes", tuple(axes))
+            object.__setattr__(self, "axes", listed("axes", self.axes, number, 0.0, True))
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""
@@ -496,7 +496,8 @@ class BodyForce(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(loads=[_force(body, self, self.f0, (BODY,))])
+        place = body.place("on", (), nodal=body.lumped)
+        return Contribution(loads=[_force(body, self, self.f0, place)])
 
 
 @dataclass(frozen=True)
@@ -533,8 +534,8 @@ class Traction(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        body.facets("on", self.on)
-        return Contribution(loads=[_force(body, self, self.f2, self.on)])
+        place = body.on_boundary("on", self.on, nodal=body.lumped)
+        return Contribution(loads=[_force(body, self, self.f2, place)])
 
 
 @dataclass(frozen=True)
@@ -627,8 +628,7 @@ class PrescribedDisplacement(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
-        body.facets("on", self.on)
-        place, (coefficient,) = body.place("on", self.on, nodal=True), self.data
+        place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
         full = np.zeros(body.nodes.size)
         for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
             full[dofs[place.nodes.T]] = place.values(coefficient, datum)
@@ -690,21 +690,19 @@ class Eigenstrain(Record):
         """One term of the load."""
         if body.components == 1:
             raise InputError("strain: an isotropic strain does nothing in antiplane shear")
-        place = body.place("strain", (BODY,), strains=True)
+        if body.kind == "plane stress" and any(
+            hasattr(one, "plastic_strain") for one in body.effects
+        ):
+            raise InputError(
+                "strain: in plane stress an eigenstrain beside plasticity is not offered: the "
+                "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
+            )
+        place = body.whole
         strain, E, nu = self.values_at(place)
         _check_compressible(nu)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
         f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
         return Contribution(loads=[(self.history, body.restrict(f))])
-
-    def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:
-        """In plane stress not beside plasticity."""
-        if body.kind == "plane stress" and any(hasattr(one, "plastic_strain") for one in effects):
-            raise InputError(
-                "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
-                "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
-            )
-        return self
 
     def stress(self, body: Discretisation) -> Stress | None:
         """It has no deviator, but for that of the strain across the plane in plane stress."""
@@ -745,7 +743,7 @@ class YieldStress(Record):
                 "g: yield stress is for antiplane shear; vectors need an incompressible"
                 " element, which is not offered"
             )
-        place = body.place("on", (BODY,), strains=True)
+        place = body.whole
         (g,), dx = self.values_at(place), place.basis.dx
         weight, block = dx.sum(axis=1), body.mesh.dim() * dx.shape[1]
         share = place.shares
@@ -942,7 +940,7 @@ def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[i
 
 def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
-    place = body.place("on", (BODY,), strains=True)
+    place = body.whole
     strain, law = strains_of(body), _hooke(body, *moduli(body, place), tensor)
 
     def form(u: Any, v: Any, _: Any) -> Any:
@@ -968,13 +966,11 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     return _restrict(body, effect.on, place.matrix(lambda u, v, _: c * inner(u, v)))
 
 
-def _force(
-    body: Discretisation, effect: BodyForce | Traction, data: Any, on: Sequence[str]
-) -> Force:
+def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place: Place) -> Force:
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
-    place, (coefficient,) = body.place("on", on, nodal=body.lumped), effect.data
+    (coefficient,) = effect.data
     several = isinstance(data, (list, tuple))
-    along_normal = not several and tuple(on) != (BODY,)
+    along_normal = hasattr(place.basis, "normals") and not several
     parts = coefficient.parts(data, 1 if along_normal else body.components)
 
     def shape(t: float) -> Array:
@@ -986,6 +982,6 @@ def _force(
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(_restrict(body, on, place.vector(form)))
+        return np.asarray(_restrict(body, getattr(effect, "on", (BODY,)), place.vector(form)))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

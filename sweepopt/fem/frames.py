@@ -7,11 +7,11 @@ normal, and the axes, in this order; `T` has these bases as blocks.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-import skfem
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ class Frame(NamedTuple):
     normal: NDArray[np.bool_]
 
 
-def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
-    """The frame of a body whose facets have components held."""
+def frame_of(body: Discretisation, held: list[tuple[str, str]]) -> Frame:
+    """The frame of a body with components held on boundaries."""
     size, d = body.scalar.N, body.components
     count, normal = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=bool)
     basis = np.zeros((size, d, d))
@@ -60,13 +60,13 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
         count[nodes[new]] += 1
 
     axes = np.eye(d)
-    for facets, what in held:
-        nodes, normals = normals_at(body, facets)
+    for name, what in held:
+        nodes, normals = normals_at(body, [name])
         for letter in what:
             add(nodes, normals if letter == "n" else axes["xyz".index(letter)])
     fixed = count.copy()
     if body.turned and d > 1:
-        nodes, normals = normals_at(body, body.facets("turned", body.turned)[0])
+        nodes, normals = normals_at(body, body.turned)
         add(nodes, normals)
         normal[nodes] = count[nodes] > fixed[nodes]
     for axis in axes:
@@ -79,12 +79,11 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
     return Frame(T, fixed, normal)
 
 
-def normals_at(body: Discretisation, facets: Indices) -> tuple[Indices, Array]:
-    """The nodes of facets, and at each the mean outward normal, weighted by the facets' sizes."""
-    rule = body.rule(body.mesh.dim() - 1)
-    basis = skfem.FacetBasis(body.mesh, body.scalar.elem, facets=facets, quadrature=rule)
+def normals_at(body: Discretisation, names: Sequence[str]) -> tuple[Indices, Array]:
+    """The nodes of boundaries, each with the mean outward normal, weighted by the facets' sizes."""
+    basis, _, nodes = body.on_boundary("held", names, nodal=True)
     weighted = basis.normals * basis.dx.sum(axis=1)[None, :, None]
-    along = body.facet_nodes(facets).T
+    along = nodes.T
     sums = np.zeros((body.scalar.N, len(weighted)))
     np.add.at(sums, along.ravel(), weighted.reshape(len(weighted), -1).T)
     nodes = np.unique(along)

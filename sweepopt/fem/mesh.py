@@ -89,10 +89,10 @@ def grid(
             f"sizes and cells must have one entry for each of x, y, z, got {len(sizes)} and "
             f"{len(cells)}"
         )
-    counts = [count(f"cells[{k}]", n) for k, n in enumerate(cells)]
+    counts = listed("cells", cells, count)
     if prod(counts) * factorial(len(counts)) > MOST_CELLS:
         raise InputError(f"cells: {shown(cells)} make more than {MOST_CELLS:.0e} cells; take fewer")
-    lengths = [number(f"sizes[{k}]", size, 0.0, strict=True) for k, size in enumerate(sizes)]
+    lengths = listed("sizes", sizes, number, 0.0, True)
     lines = [np.linspace(0.0, size, n + 1) for size, n in zip(lengths, counts, strict=True)]
     mesh = (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)[len(lines) - 1].init_tensor(*lines)
     boundaries = {}
@@ -101,11 +101,9 @@ def grid(
             boundaries[name] = np.flatnonzero((mesh.p[k, mesh.facets] == end).all(axis=0))
     if points is None:
         return mesh.with_boundaries(boundaries)
-    if len(formulas := listed("points", points)) != len(lines):
+    if len(listed("points", points)) != len(lines):
         raise InputError(f"points must be {len(lines)} formulas, one for each of x, y, z")
-    places = [
-        Coefficient(f"points[{k}]").values(formula, mesh.p) for k, formula in enumerate(formulas)
-    ]
+    places = listed("points", points, lambda name, one: Coefficient(name).values(one, mesh.p))
     return type(mesh)(np.array(places), mesh.t).with_boundaries(boundaries)
 
 

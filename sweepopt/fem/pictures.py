@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -102,20 +102,23 @@ def pictures_of(scene: Scene) -> list[str]:
     return fitting
 
 
-def draw(report: Report, name: str) -> Any:
-    """One of PICTURES of a run.
-
-    Returns
-    -------
-    matplotlib Figure
+def choose(scene: Scene, name: str, known: Iterable[str]) -> str:
+    """The picture of that name; without one the first of the scene's own, or of all, that fits.
 
     Raises
     ------
     InputError
-        If it does not fit the scene.
+        If the one that is named does not fit.
     """
-    if reason := refusal(report.scene, name):
+    if name and (reason := refusal(scene, choice("picture", name, known))):
         raise InputError(f"picture: {reason}")
+    asked = [one for one in scene.pictures or () if one in known]
+    return name or next(one for one in (*asked, *known) if not refusal(scene, one))
+
+
+def draw(report: Report, name: str = "") -> Any:
+    """A picture of a run, as a matplotlib Figure; see `choose`."""
+    name = choose(report.scene, name, PICTURES)
     figure = snapshots.picture(report, FIELDS[name]) if name in FIELDS else DRAWN[name](report)
     figure.suptitle(report.scene.title, fontsize="medium")
     return figure
@@ -127,26 +130,11 @@ def animate(report: Report, path: str | Path, name: str = "") -> Path:
     Raises
     ------
     InputError
-        If the scene has no such field, or ffmpeg is not there for an MP4.
+        If ffmpeg is not there for an MP4; as `choose`.
     """
-    path, field = writable("path", path), animated(report.scene, name)
+    path, field = writable("path", path), choose(report.scene, name, FIELDS)
     snapshots.animation(report, FIELDS[field], path)
     return path
-
-
-def animated(scene: Scene, name: str = "") -> str:
-    """The field that an animation shows: the first of the scene's pictures that is one, or fits.
-
-    Raises
-    ------
-    InputError
-        If there is none, or the one that is named does not fit.
-    """
-    names = [choice("picture", name, FIELDS)] if name else [*(scene.pictures or ()), *FIELDS]
-    fitting = [one for one in names if one in FIELDS and not refusal(scene, one)]
-    if not fitting:
-        raise InputError(f"an animation of {refusal(scene, name or 'displacement')}")
-    return fitting[0]
 
 
 def contact(report: Report) -> Any:

@@ -20,8 +20,7 @@ an elastic body, -lam/(lam + 2 G) (e_xx + e_yy).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,7 +30,6 @@ from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
 from sweepopt.fem.effects import (
     Contribution,
-    Effect,
     Kinematics,
     Record,
     Stress,
@@ -68,15 +66,11 @@ class Plasticity(Record):
     on : str or sequence of str
         Subdomains; "body" for all of it.
 
-    Attributes
-    ----------
-    elasticity : Effect or None
-        That of the scene, which sets it: `Elasticity` without a tensor, or one of your own.
-
     Raises
     ------
     InputError
-        If a value is negative or not finite, or nothing hardens somewhere: perfect plasticity.
+        If a value is negative or not finite, or nothing hardens somewhere: perfect plasticity; if
+        the scene has no elasticity, several, or one with a tensor.
 
     Examples
     --------
@@ -89,17 +83,7 @@ class Plasticity(Record):
     Hi: Datum = 0.0
     eta: Datum = 0.0
     on: Sequence[str] = (BODY,)
-    elasticity: Any = field(default=None, init=False)
     data = COEFFICIENTS
-
-    def among(self, effects: Sequence[Effect], body: Discretisation) -> Effect:
-        """With the elasticity of the scene, if there is one."""
-        elastic = [one for one in effects if hasattr(one, "lame")]
-        if len(elastic) != 1:
-            return self
-        complete = replace(self)
-        object.__setattr__(complete, "elasticity", elastic[0])
-        return complete
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
@@ -108,6 +92,12 @@ class Plasticity(Record):
             raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place))
         at_points = self._moduli(body, place)
+        every = [one.cells(body) for one in body.effects if isinstance(one, Plasticity)]
+        if np.bincount(np.concatenate(every)).max() > 1:
+            raise InputError(
+                "on: two plasticities act in one cell, where neither would see the strain of the "
+                "other; name subdomains that do not overlap"
+            )
         lam, mu = map(np.ravel, at_points)
         _check_hardening(Hk, Hi, eta, mu)
         strains = deviators(body, place, *at_points)
@@ -141,11 +131,17 @@ class Plasticity(Record):
             internal=total - n,
         )
 
+    def cells(self, body: Discretisation) -> Indices:
+        """Where it acts."""
+        basis = body.place("on", self.on, strains=True).basis
+        return np.arange(body.mesh.nelements)[basis.tind].ravel()
+
     def _moduli(self, body: Discretisation, place: Place) -> list[Array]:
-        """lam and mu at points."""
-        if self.elasticity is None:
+        """lam and mu of the scene's elasticity at points."""
+        elastic = [one for one in body.effects if hasattr(one, "lame")]
+        if len(elastic) != 1:
             raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
-        lam, mu = self.elasticity.lame(body, place)
+        lam, mu = elastic[0].lame(body, place)
         if mu is None:
             raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
         return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
@@ -154,33 +150,32 @@ class Plasticity(Record):
         """-2 mu p."""
 
         def share(motion: Kinematics) -> Array:
-            cells, place, p, zz = self._strains(body, motion.internal)
+            place, p, zz = self._strains(body, motion.internal)
             if zz.size:
                 p[..., 1] -= ZZ * zz
             stress = np.zeros((len(p), body.mesh.nelements, *p.shape[2:]))
-            stress[:, cells] = -2 * self._moduli(body, place)[1][..., None] * p
+            stress[:, self.cells(body)] = -2 * self._moduli(body, place)[1][..., None] * p
             return stress
 
         return share
 
     def plastic_strain(self, body: Discretisation, internal: Array) -> Array:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells)."""
-        cells, place, p, _ = self._strains(body, internal)
+        place, p, _ = self._strains(body, internal)
         strain = np.zeros((len(p), body.mesh.nelements))
-        strain[:, cells] = np.sqrt(2 / 3) * (place.shares * np.linalg.norm(p, axis=3)).sum(axis=2)
+        size = (place.shares * np.linalg.norm(p, axis=3)).sum(axis=2)
+        strain[:, self.cells(body)] = np.sqrt(2 / 3) * size
         return strain
 
-    def _strains(
-        self, body: Discretisation, internal: Array
-    ) -> tuple[Indices, Place, Array, Array]:
-        """The cells, their points, p of each and, in plane stress, the part of e_zz."""
+    def _strains(self, body: Discretisation, internal: Array) -> tuple[Place, Array, Array]:
+        """The points, p of each and, in plane stress, the part of e_zz."""
         place = body.place("on", self.on, strains=True)
         shape = len(internal), *place.basis.dx.shape
         beside = place.basis.dx.size if body.kind == "plane stress" else 0
         _, _, Hi, _ = self.values_at(place)
         zz = internal[:, :beside].reshape(shape if beside else (0,))
         p = internal[:, beside:].reshape(*shape, -1)[..., int(Hi.any()) :].copy()
-        return np.arange(body.mesh.nelements)[place.basis.tind].ravel(), place, p, zz
+        return place, p, zz
 
 
 def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:

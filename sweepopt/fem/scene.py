@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -42,7 +43,7 @@ from sweepopt.fem.effects import (
 )
 from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
-from sweepopt.fem.spaces import BODY, Discretisation, boundary_names
+from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, folder_at
 from sweepopt.linalg import require_semidefinite
@@ -191,8 +192,7 @@ class Scene(Displayed):
         total = np.zeros((len(u), 1, 1, 1))
         for law, at in laws:
             total = total + law(Kinematics(u, rate, states[:, at]))
-        shares = body.place("stress", (BODY,), strains=True).shares
-        mean = np.einsum("cp,kcps->kcs", shares, total)
+        mean = np.einsum("cp,kcps->kcs", body.whole.shares, total)
         return np.linalg.norm(mean, axis=2) * np.sqrt(0.5 if body.components == 1 else 1.5)
 
     def stress_laws(self) -> list[tuple[Stress, slice]]:
@@ -235,7 +235,7 @@ class Scene(Displayed):
 
     @with_checks
     def plot(self, solution: Solution, picture: str = "") -> Any:
-        """A picture of a run, one of PICTURES; by default the first of those of `sweepopt run`.
+        """A picture of a run, one of PICTURES; by default the first that fits.
 
         Returns
         -------
@@ -246,11 +246,7 @@ class Scene(Displayed):
         InputError
             If the picture does not fit the scene.
         """
-        names = [picture] if picture else pictures.pictures_of(self)
-        if not names:
-            known = ", ".join(pictures.PICTURES)
-            raise InputError(f"picture: none fits the scene of itself; name one of {known}")
-        return pictures.draw(output.Report(self, solution), names[0])
+        return pictures.draw(output.Report(self, solution), picture)
 
     @with_checks
     def write(self, solution: Solution, folder: str | Path) -> Path:
@@ -422,8 +418,8 @@ def build(
     """A scene from effects by the label that errors shall give them."""
     _check_words(**settings)
     steps = settings["steps"]
-    space, effects = _resolve(space, effects)
-    vars(space)["start"] = float(entries("steps", steps)[0]) if axes(steps) else 0.0
+    start = float(entries("steps", steps)[0]) if axes(steps) else 0.0
+    space = _with_effects(space, effects, start)
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
@@ -432,7 +428,7 @@ def build(
         for label, one in zip(effects, internal, strict=True)
         if one.stop > one.start
     }
-    parts = _on_all_unknowns(space.dim, parts, size)
+    parts = _on_all_unknowns(space.dim, parts, internal)
     A, B = total(parts, "A"), total(parts, "B")
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
@@ -476,10 +472,10 @@ def _check_words(units: Any, title: Any, **_: Any) -> None:
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
 
 
-def _resolve(
-    space: Discretisation, effects: Mapping[str, Effect]
-) -> tuple[Discretisation, dict[str, Effect]]:
-    """The space, turned where effects need it, and each effect with what it takes from others."""
+def _with_effects(
+    space: Discretisation, effects: Mapping[str, Effect], start: float
+) -> Discretisation:
+    """The body of a scene: with its effects, and turned where these need it."""
     turned = list(space.turned)
     for label, one in effects.items():
         if isinstance(one, type) or not hasattr(one, "contribute"):
@@ -492,11 +488,9 @@ def _resolve(
             turned += [name for name in names if name in (space.mesh.boundaries or {})]
     if turned != list(space.turned):
         space = space.with_unknowns(turned=tuple(dict.fromkeys(turned)))
-    every = list(effects.values())
-    return space, {
-        label: one.among(every, space) if hasattr(one, "among") else one
-        for label, one in effects.items()
-    }
+    space = copy(space)
+    vars(space).update(effects=tuple(effects.values()), start=start)
+    return space
 
 
 @contextmanager
@@ -575,10 +569,9 @@ def _problem(
     if slipping:
         return SweepingProcess(A, B, StateDependent(at, sum(slipping), histories), u0, fields)
     C = MovingSet(at, A.shape[0], histories)
-    if (parts := by_history(yields)) is not None:
-        rest, moving = parts
-        constant: Any = -dissipation(rest)() if rest else Point(np.zeros(A.shape[0]))
-        scaled = tuple((phi, -dissipation(some)()) for phi, some in moving)
+    if parts := [(phi, -dissipation(some)()) for phi, some in by_history(yields)]:
+        constant = next((S for phi, S in parts if phi is None), Point(np.zeros(A.shape[0])))
+        scaled = tuple((phi, S) for phi, S in parts if phi is not None)
         C.summands = Summands(() if force is None else force.terms, constant, scaled)
     return SweepingProcess(A, B, C, u0, fields)
 
@@ -637,15 +630,15 @@ def _valid_contribution(part: Any, space: Discretisation, own: bool) -> Contribu
     return part
 
 
-def _on_all_unknowns(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
+def _on_all_unknowns(
+    dim: int, parts: Sequence[Contribution], internal: Sequence[slice]
+) -> list[Contribution]:
     """The parts on all unknowns: internal ones follow those of the body in order."""
-    if size == dim:
+    if not internal or internal[-1].stop == dim:
         return list(parts)
-    first, placed = dim, []
-    for part in parts:
-        at = np.concatenate([np.arange(dim), np.arange(first, first + part.internal)])
-        first += part.internal
-        E = sp.eye_array(size, format="csr")[at]
+    placed = []
+    for part, own in zip(parts, internal, strict=True):
+        E = sp.eye_array(internal[-1].stop, format="csr")[np.r_[:dim, own]]
         A, B = (
             None if M is None else sp.csc_array(E[: M.shape[0]].T @ M @ E[: M.shape[0]])
             for M in (part.A, part.B)

@@ -218,9 +218,9 @@ def _scene_of(
     file = _construct(_File, data, "", folder, MISSING)
     for name in ("domain", "time", "solve"):
         _require_places(name, getattr(file, name))
-    pictures = file.pictures if file.pictures in (None, []) else listed("pictures", file.pictures)
-    for name in pictures or ():
-        choice("pictures", name, PICTURES)
+    pictures = file.pictures
+    if pictures not in (None, []):
+        pictures = listed("pictures", pictures, choice, PICTURES)
     tables = effect_tables(file.effects)
     labels = remaining(list(tables), without)
     body = _construct(Discretisation, file.domain, "domain", folder)
@@ -230,7 +230,7 @@ def _scene_of(
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
     settings["changes"] = (
         *(f"{path} = {value!r}" for path, value in changes.items()),
-        *(f"without {name}" for name in ([without] if isinstance(without, str) else without)),
+        *(f"without {name}" for name in names_of(without)),
     )
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _construct(kind, table, path, folder)
@@ -446,6 +446,13 @@ def _key(path: str, step: re.Match[str], table: Any, may_be_new: bool = False) -
     return key
 
 
+def names_of(without: Sequence[str]) -> list[str]:
+    """Effects to leave out, by name; one may stand alone."""
+    if not isinstance(without, (str, list, tuple)):
+        raise InputError(f"without must be a list of names of effects, got {shown(without)}")
+    return [without] if isinstance(without, str) else list(without)
+
+
 def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
     """Labels of effects without those named: all of a kind (``traction``) or one of it.
 
@@ -460,9 +467,7 @@ def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
     ['effects.friction']
     """
     kept = list(labels)
-    if not isinstance(without, (str, list, tuple)):
-        raise InputError(f"without must be a list of names of effects, got {shown(without)}")
-    for name in [without] if isinstance(without, str) else without:
+    for name in names_of(without):
         wanted = f"effects.{str(name).removeprefix('effects.')}"
         gone = [one for one in labels if one == wanted or one.startswith(f"{wanted}[")]
         if not gone:

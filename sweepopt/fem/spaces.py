@@ -116,6 +116,7 @@ class Discretisation(Brief):
     held: Mapping[str, str] = field(default_factory=dict)
     turned: Sequence[str] = field(default=(), init=False)
     start = 0.0  # of the scene that is built on it: when functions of time may be called
+    effects = ()  # all of that scene
 
     def __post_init__(self) -> None:
         choice("element", self.element, ELEMENTS)
@@ -199,6 +200,11 @@ class Discretisation(Brief):
             rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
         return skfem.CellBasis(self.mesh, self._element, intorder=order, quadrature=rule)
 
+    @property
+    def whole(self) -> Place:
+        """All of the body, with the quadrature of strains."""
+        return Place(self.basis, self.mesh.subdomains or {}, self.scalar.element_dofs)
+
     @cached_property
     def nodes(self) -> Indices:
         """Degrees of freedom in `basis` of each component at each node, shape (components, N)."""
@@ -210,8 +216,7 @@ class Discretisation(Brief):
     def frame(self) -> Frame:
         """At each node the directions of its degrees of freedom, those that are held first."""
         all_held = dict.fromkeys(self.clamped or (), AXES[: self.components])
-        boundaries = [*all_held.items(), *self.held.items()]
-        return frame_of(self, [(self.facets("held", [name])[0], what) for name, what in boundaries])
+        return frame_of(self, [*all_held.items(), *self.held.items()])
 
     def with_unknowns(self, **fields: Any) -> Discretisation:
         """The same with other values of `clamped`, `held` or `turned`."""
@@ -428,36 +433,48 @@ class Discretisation(Brief):
         what : str
             The argument that names them, for errors.
         on : sequence of str
+            Empty is all of it, whatever has the name "body".
         nodal : bool
             With the scalar element and a quadrature whose points are the nodes.
         strains : bool
             With the quadrature of `basis`, in cells; the other has an order two above what
             products of u on straight edges need.
         """
-        inside, degree = self.mesh.subdomains or {}, self.scalar.elem.maxdeg
-        nodes, groups, d = self.scalar.element_dofs, dict[str, Indices](inside), self.mesh.dim()
-        kind, parts, rule = skfem.CellBasis, dict[str, Indices](), None
-        if all(name in inside for name in on):
+        inside, boundaries = self.mesh.subdomains or {}, self.mesh.boundaries or {}
+        cells, groups, rule = np.arange(self.mesh.nelements), dict[str, Indices](inside), None
+        if not strains and (both := [one for one in on if one in inside and one in boundaries]):
+            raise InputError(
+                f"{what}: {both[0]!r} is a boundary and a subdomain; give one another name"
+            )
+        if on and all(name in inside for name in on):
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
-            nodes, parts = nodes[:, cells], {"elements": cells}
-        elif tuple(on) != (BODY,) or BODY in (self.mesh.boundaries or {}):
-            facets, groups = self.facets(what, on)
-            kind, parts, d = skfem.FacetBasis, {"facets": facets}, d - 1
-            nodes = self.facet_nodes(facets)
+        elif on and (tuple(on) != (BODY,) or BODY in boundaries):
+            return self.on_boundary(what, on, nodal=nodal)
         elif strains:
-            return Place(self.basis, groups, nodes)
+            return self.whole
         if nodal:
-            rule = self.rule(d)
-        elif strains and kind is skfem.CellBasis:
+            rule = self.rule(self.mesh.dim())
+        elif strains:
             rule = self.basis.quadrature
-        element = self.scalar.elem if nodal else self._element
-        basis = kind(self.mesh, element, intorder=2 * degree + 2, quadrature=rule, **parts)
-        if nodal and self.lumped and kind is skfem.CellBasis:
+        basis = self._integrals(skfem.CellBasis, nodal, quadrature=rule, elements=cells)
+        if nodal and self.lumped:
             # each node counts as one, in however many cells it is
             times = np.bincount(basis.element_dofs.ravel(), minlength=basis.N)
             basis.dx = 1.0 / times[basis.element_dofs.T]
-        return Place(basis, groups, nodes)
+        return Place(basis, groups, self.scalar.element_dofs[:, cells])
+
+    def on_boundary(self, what: str, names: Sequence[str], *, nodal: bool = False) -> Place:
+        """Boundaries alone, whatever subdomain has their name; arguments as of `place`."""
+        facets, groups = self.facets(what, names)
+        rule = self.rule(self.mesh.dim() - 1) if nodal else None
+        basis = self._integrals(skfem.FacetBasis, nodal, quadrature=rule, facets=facets)
+        return Place(basis, groups, self.facet_nodes(facets))
+
+    def _integrals(self, kind: Any, nodal: bool, **parts: Any) -> Any:
+        """A basis of scikit-fem on cells or facets."""
+        element = self.scalar.elem if nodal else self._element
+        return kind(self.mesh, element, intorder=2 * self.scalar.elem.maxdeg + 2, **parts)
 
     def rule(self, dimension: int) -> tuple[Array, Array]:
         """A quadrature on cells or facets whose points are the nodes, in their order.
