@@ -14,7 +14,8 @@ from cases import GRIDS, SETS, block, case, close_bound, random_process, slope, 
 import sweepopt as so
 from sweepopt.integrate import Velocities
 from sweepopt.problem import Norms, motion
-from sweepopt.results.error_bound import ErrorBound, _more, _refined, companion
+from sweepopt.results.error_bound import ErrorBound, _growth, _more, _refined, companion
+from sweepopt.results.residuals import Residuals
 from sweepopt.study.problems import PROBLEMS
 
 CURVED = ("V05", "B14", "M17")
@@ -161,6 +162,30 @@ def test_the_bound_of_stiff_runs_is_as_close_as_the_readme_says(n, most):
             sol = so.solve(process, t_end=2.0, steps=20, scheme=scheme, on_unstable="ignore")
             times = divided(sol.t, 16)
             close_bound(sol, times, truth.exact(times), factor)
+
+
+@pytest.mark.parametrize(
+    "A, t_end, error, r, most",
+    [  # e' A e' = -e' (B e + r) / 2, the most for r of class L^2; and a circle: e' normal to e + r
+        (1.0, 0.7, lambda t: [np.sinh(3 * t), 0 * t], lambda t: [3 * np.exp(3 * t), 0 * t], 1.02),
+        (0.0, np.pi, lambda t: [np.cos(t) - 1, np.sin(t)], lambda t: [1 + 0 * t, 0 * t], 1.9),
+    ],
+)
+def test_the_bound_is_above_the_largest_error_that_its_inequality_allows(A, t_end, error, r, most):
+    t, B = np.linspace(0.0, t_end, 201), 3.0 if A else 1.0
+    norms = Norms(so.SweepingProcess(A * np.eye(2), B * np.eye(2), so.WholeSpace(2), [0.0, 0.0]))
+    r, zero = np.transpose(r(t)), np.zeros((1, 200))
+    square = np.diff(1.5 * np.exp(6 * t))[None] if A else zero + np.inf
+    size = norms.B.dual(r[1:])[None]
+    turning = zero + (np.inf if A else 0.0)
+    with np.errstate(invalid="ignore"):
+        found = _growth(
+            norms, t, Residuals(zero, square, turning, size, r[None, :-1], r[None, 1:], zero)
+        )
+    e = np.transpose(error(t[1:]))
+    for bound, norm in ((found.A, norms.A), (found.B, norms.B)):
+        assert (bound >= norm(e)).all()
+        assert bound[-1] <= most * norm(e[-1])
 
 
 @pytest.mark.parametrize(
