@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from cases import GRIDS, REFERENCE, block, case, embedded, random_process, slope
+from cases import block, random_process, slope
+from reference_cases import GRIDS, REFERENCE, case, embedded
 
 import sweepopt as so
 from sweepopt.errors import Status

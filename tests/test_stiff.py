@@ -5,7 +5,8 @@ from itertools import cycle
 
 import numpy as np
 import pytest
-from cases import block, case, slope, slow
+from cases import block, slope, slow
+from reference_cases import case
 
 import sweepopt as so
 from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, make, stiff_bodies
