@@ -36,7 +36,7 @@ def in_turn(name, scheme, steps):
 
 def grids(name):
     """Steps of the runs whose bounds are compared to the error."""
-    return (21, 101, 211) if name in CURVED else (11, 53)
+    return (21, 101, 211) if name in CURVED else (11, 31)
 
 
 RUNS = [
@@ -317,8 +317,8 @@ def test_coupled_rows_that_move_have_a_guaranteed_bound(seed, A, scheme, history
 
 
 def bound_is_close_to_the_exact_error(process, scheme):
-    truth = so.solve(process, t_end=2.0, steps=1, scheme="exact")
-    sol = so.solve(process, t_end=2.0, steps=10, scheme=scheme, on_unstable="ignore")
+    truth = so.solve(process, t_end=1.2, steps=1, scheme="exact")
+    sol = so.solve(process, t_end=1.2, steps=6, scheme=scheme, on_unstable="ignore")
     times = divided(sol.t, 16)
     close_bound(sol, times, truth.exact(times), 4)
 
@@ -455,8 +455,8 @@ def test_the_bound_of_composed_and_curved_sets_is_close(name, A, scheme, most):
     waves = [(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])]
     C, B = so.Moving(COMPOSED[name], so.Separable(waves)), [[1.0, -0.2], [-0.2, 0.8]]
     process = so.SweepingProcess(A * np.array([[1.0, 0.3], [0.3, 0.6]]), B, C, [0.0, 0.0])
-    fine = so.solve(process, t_end=3.0, steps=90, scheme="sdirk2", tol=1e-9)
-    sol = so.solve(process, t_end=3.0, steps=6, scheme=scheme)
+    fine = so.solve(process, t_end=1.5, steps=45, scheme="sdirk2", tol=1e-9)
+    sol = so.solve(process, t_end=1.5, steps=3, scheme=scheme)
     close_bound(sol, fine.t, fine.u, most, 0.99)
 
 
@@ -487,7 +487,7 @@ def test_the_bound_of_sets_that_grow_and_shrink_is_close_and_never_below_the_err
             A * np.eye(2), B, so.Moving(S, load, scales[scale]), [0.0, 0.0]
         )
         # both with steps that end at the breakpoints of the scale
-        fine = so.solve(process, t_end=3.0, steps=240, scheme="sdirk2", tol=1e-9)
+        fine = so.solve(process, t_end=3.0, steps=120, scheme="sdirk2", tol=1e-9)
         sol = so.solve(process, t_end=3.0, steps=6, scheme=scheme)
         close_bound(sol, fine.t, fine.u, 2, 0.99)
 
@@ -724,7 +724,9 @@ def test_steps_are_short_only_where_u_changes_fast(A, most):
 
 
 @pytest.mark.filterwarnings("ignore:B u0 is not in C")
-@pytest.mark.parametrize("A, error", [(1e-4, 1e-2), (1e-5, 1e-2), (1e-6, 1e-3), (1e-7, 1e-3)])
+@pytest.mark.parametrize(
+    "A, error", [(1e-4, 1e-2), slow(1e-5, 1e-2), slow(1e-6, 1e-3), (1e-7, 1e-3)]
+)
 def test_an_error_is_delivered_where_a_first_layer_is_inside_of_a_step(A, error):
     # Adaptive meets its tolerance at the nodes before any of them is in the layer
     pull = so.Separable([(so.Sine(3.0, period=np.pi), 1.0)])
