@@ -73,7 +73,7 @@ RUNS = {
     "newton": (body, {"path": "eliminated", "solver": "newton", "save": "last"}),
     "two stages": (body, {"scheme": "sdirk2", "solver": "clarabel", "save": [1.0, 2.0]}),
     "balls": (balls, {"solver": "clarabel"}),
-    "polygon": (polygon, {"solver": "osqp", "t_end": 0.6, "steps": 30}),
+    "polygon": (polygon, {"solver": "osqp", "t_end": 0.3, "steps": 15}),
     "uncertified": (free, {"steps": 3}),
     "set that is a function": (
         lambda: so.SweepingProcess(0.5, 2.0, so.MovingSet(lambda t: so.Box(t, 3.0)), 0),
