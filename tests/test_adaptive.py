@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import tqdm.auto
-from cases import SETS, block, case, slow
+from cases import block, slow
+from reference_cases import SETS, case
 
 import sweepopt as so
 from sweepopt.study.problems import problem
@@ -128,8 +129,8 @@ SLOW = [
 @pytest.mark.parametrize(
     "A, scheme, seeds, least",
     [
-        (1.0, "sdirk2", 3, 4e-3),
-        (0.0, "sdirk2", 3, 4e-3),
+        (1.0, "sdirk2", 2, 4e-3),
+        (0.0, "sdirk2", 2, 4e-3),
         *(slow(*each, 32, 1e-3) for each in SLOW),
     ],
 )
@@ -202,9 +203,9 @@ def test_a_stop_in_the_first_step_after_a_breakpoint_is_seen(tol):
 
 
 def test_a_short_burst_in_a_long_hold_takes_far_fewer_steps_than_equal_ones():
-    sol = run("H18", so.Adaptive(3e-3))
-    assert error_of(sol) <= 4.5e-3
-    assert error_of(run("H18", 8 * work(sol))) > error_of(sol)
+    sol = run("H18", so.Adaptive(1e-2))
+    assert error_of(sol) <= 1.5e-2
+    assert error_of(run("H18", 4 * work(sol))) > 2 * error_of(sol)
     assert set(BURST[0]) <= set(sol.t.tolist())
 
 

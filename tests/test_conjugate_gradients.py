@@ -117,7 +117,7 @@ def test_a_body_whose_factors_do_not_fit_moves_as_one_whose_factors_do(
 @pytest.mark.usefixtures("little_memory")
 @pytest.mark.filterwarnings("ignore::sweepopt.BoundWarning")
 def test_a_proportional_body_is_not_factorised_either():
-    sol = run(n=12, shift=0.0)
+    sol = run(n=8, shift=0.0)
     assert sol.plan.path == "eliminated"
     assert "factors: they would need" in str(sol.plan)
     assert sol.stats["relative"].max() <= 1e-6

@@ -4,7 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import block, case
+from cases import block
+from reference_cases import case
 
 import sweepopt as so
 from sweepopt.velocity import Answer

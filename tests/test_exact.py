@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from cases import GRIDS, REFERENCE, block, case, embedded, random_process, slope
+from cases import block, random_process, slope
+from reference_cases import GRIDS, REFERENCE, case, embedded
 
 import sweepopt as so
 from sweepopt.errors import Status
@@ -240,7 +241,8 @@ SHRINKING = so.Table([0, 1, 1.5, 2, 3], [1.2, 0.2, 0.0, 0.0, 1])
 
 
 GROWING = so.Polynomial([0.5, 0.4])
-SCALED = [("sum", None), ("few", SHRINKING), *((name, GROWING) for name in COMPOSED)]
+SCALED = [("sum", None), ("few", SHRINKING)]
+SCALED += [(name, GROWING) for name in COMPOSED if name not in ("sum", "few")]
 
 
 @pytest.mark.parametrize("name, scale", SCALED)
@@ -251,7 +253,7 @@ def test_composed_sets_and_moving_scales_are_followed(name, scale):
     load = so.Separable([(so.Sine(2.0, 2.3), np.ones(n)), (so.Sine(1.0, 1.7), rng.normal(size=n))])
     C = so.Moving(shape, load, scale)
     process = so.SweepingProcess(X @ X.T + np.eye(n), Y @ Y.T, C, np.zeros(n))
-    follows_the_inclusion(process, 3.0)
+    follows_the_inclusion(process, 2.2)
 
 
 @pytest.mark.parametrize("seed", [43, 56, 59])
@@ -300,7 +302,7 @@ def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches(
 
     from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
 
-    mesh = MeshTri.init_tensor(*2 * [np.linspace(0.0, 1.0, 9)]).with_defaults()
+    mesh = MeshTri.init_tensor(*2 * [np.linspace(0.0, 1.0, 6)]).with_defaults()
     traction = Traction("right", history=so.Sine(amplitude=2.0, period=4.0))
     effects = [Viscosity(1.0), Elasticity(2.0), traction, Friction("bottom", g=0.5)]
     body = antiplane(mesh, clamped="top", effects=effects)

@@ -5,7 +5,8 @@ import warnings
 import cvxpy as cp
 import numpy as np
 import pytest
-from cases import SETS, block, case, embedded
+from cases import block
+from reference_cases import SETS, case, embedded
 from scipy.integrate import odeint, solve_ivp
 
 import sweepopt as so

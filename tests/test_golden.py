@@ -204,11 +204,11 @@ def keys():
     return {"scene": {**read, "effects": effects}, "unknown": refused}
 
 
-# ---- the run of the README ----------------------------------------------------------------------
+# ---- the run of the README, with longer steps --------------------------------------------------
 
 
 def tube():
-    """What `sweepopt run problems/tube.toml` writes, and its numbers."""
+    """What `sweepopt run tube --steps 96` writes, and its numbers."""
     import meshio
     import xarray as xr
     from matplotlib.figure import Figure
@@ -216,7 +216,7 @@ def tube():
     empty = mock.patch("sweepopt.fem.pictures.draw", return_value=Figure())
     with tempfile.TemporaryDirectory() as place, empty:
         folder = Path(place)
-        code, said = called("run", "tube", "--no-progress", "--out", place)
+        code, said = called("run", "tube", "--steps", "96", "--no-progress", "--out", place)
         assert code == 0, said
         summary = json.loads((folder / "summary.json").read_text())
         with xr.open_dataset(folder / "solution.nc", engine="h5netcdf") as data:

@@ -1,7 +1,7 @@
 """The problems of the studies; test_reference and test_exact compare them with exact values."""
 
 import numpy as np
-from cases import SETS
+from reference_cases import SETS
 
 from sweepopt.study.problems import PROBLEMS, problem
 

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.sparse as sp
-from cases import block, case, random_process
+from cases import block, random_process
 from meshes import square
+from reference_cases import case
 
 import sweepopt as so
 from sweepopt.fem import BodyForce, Elasticity, Friction, Viscosity, antiplane

@@ -51,7 +51,7 @@ def solved(solver, M, q, C):
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.name)
 @pytest.mark.parametrize("scale", [2.0**-40, 1.0, 2.0**40])
 def test_every_solver_finds_the_exact_velocity_within_its_certificate(solver, scale):
-    for seed in range(8):
+    for seed in range(4):
         M, q, g = random_program(seed)
         found, exact = (
             solved(solver, M, scale * q, so.Box(-scale * g, scale * g)),

@@ -58,14 +58,14 @@ ROUTES = {
     "closed form": (lambda: body(A=np.diag(A.diagonal()), B=None), {}),
     "linear": (lambda: body(C=so.Point(np.zeros(N))), {}),
     "daqp": (body, {"solver": "daqp"}),
-    "cvxpy": (body, {"solver": "cvxpy", "steps": 5}),
-    "cvxpy:osqp": (body, {"solver": so.Cvxpy("OSQP"), "steps": 5}),
+    "cvxpy": (body, {"solver": "cvxpy", "steps": 2}),
+    "cvxpy:osqp": (body, {"solver": so.Cvxpy("OSQP"), "steps": 2}),
     "adaptive": (body, {"steps": so.Adaptive(1e-2)}),
     "exact": (lambda: three(so.Box(-GAP[:3], GAP[:3])), {"scheme": "exact"}),
     # an intersection, whose support function is a program of its own
     "two sets": (lambda: three(so.Box([-1] * 3, [1] * 3) & so.Ball([0] * 3, 1.2)), {"steps": 6}),
     # Newton starts its projections from one in another metric
-    "two sets by newton": (few, {"solver": "newton"}),
+    "two sets by newton": (few, {"solver": "newton", "steps": 4}),
 }
 NAMES = [*ROUTES]
 

@@ -326,16 +326,16 @@ FULL = """
 import resource
 import numpy as np, scipy.sparse as sp, sweepopt as so
 from sweepopt.results import dataset
-dataset.BLOCK = 50 * 16 * 2000
+dataset.BLOCK = 50 * 16 * 400
 load = so.Sine(3.0, 2.0)
 slider = so.SweepingProcess(0.5, 2.0, so.Moving(so.Box(-1, 1), load), 0.0)
-chain = 2.1 * sp.eye_array(2000) - sp.eye_array(2000, k=1) - sp.eye_array(2000, k=-1)
-few = so.image(sp.eye_array(2000, 4), so.Box(-np.ones(4), np.ones(4)))
-pull = so.Separable([(load, np.sin(np.arange(2000)))])
-large = so.SweepingProcess(chain, 1.7 * chain, so.Moving(few, pull), np.zeros(2000))
+chain = 2.1 * sp.eye_array(400) - sp.eye_array(400, k=1) - sp.eye_array(400, k=-1)
+few = so.image(sp.eye_array(400, 4), so.Box(-np.ones(4), np.ones(4)))
+pull = so.Separable([(load, np.sin(np.arange(400)))])
+large = so.SweepingProcess(chain, 1.7 * chain, so.Moving(few, pull), np.zeros(400))
 for size, process, settings in (
     (30_000, slider, {{"steps": 600}}),
-    (100_000, large, {{"steps": 150, "path": "eliminated"}}),
+    (100_000, large, {{"steps": 75, "path": "eliminated"}}),
     (50_000, slider, {{"steps": 600}}),  # enough for states alone
 ):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, 200_000))
@@ -416,14 +416,14 @@ def test_a_copy_of_a_solution_can_do_what_the_solution_can(settings):
     load = so.Separable([(so.Sine(2.0, period=4.0), np.linspace(1.0, 2.0, n))])
     D = so.Box(-np.ones(n), np.ones(n))
     process = so.EvolutionVI(0.5 * sp.eye_array(n), B, load=load, dissipation=D, u0=np.zeros(n))
-    sol = so.solve(process, t_end=2.0, steps=10, **settings)
+    sol = so.solve(process, t_end=2.0, steps=4, **settings)
     shown, copies = repr(sol), [copied(sol) for copied in COPIES]
     for same in copies:
         assert repr(same) == shown
         np.testing.assert_array_equal(same.u, sol.u)
         np.testing.assert_array_equal(same(sol.t[-1]), sol(sol.t[-1]))
         np.testing.assert_array_equal(same.viability(), sol.viability())
-        again = so.solve(same.process, t_end=2.0, steps=10, **settings)
+        again = so.solve(same.process, t_end=2.0, steps=4, **settings)
         np.testing.assert_array_equal(again.u, sol.u)
         assert float(same.error_bound()) == float(sol.error_bound())
 

@@ -218,7 +218,7 @@ def test_sets_that_overlap_by_their_rounding_s_root_are_projected_on_exactly():
     np.testing.assert_allclose(C.project([1.0, 0.5]), [1.0, y], rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("d", np.geomspace(1e-12, 1e-4, 17))
+@pytest.mark.parametrize("d", np.geomspace(1e-12, 1e-4, 7))
 def test_pairs_of_sets_that_hardly_overlap_are_as_near_as_they_say(d):
     low = 1 - d
     C = so.Ball([0.0, 0.0], 1.0) & so.Box([low, -2.0], [3.0, 2.0])
@@ -725,7 +725,7 @@ def test_large_cuts_that_are_no_products_have_pairs(other):
     np.testing.assert_allclose(pair.w + pair.p, v, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("count, full", [(10, True), (40, False), slow(40, True)])
+@pytest.mark.parametrize("count, full", [(10, True), (20, False), slow(40, True)])
 def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count, full):
     (discs, box), n = discs_and_box(count), 2 * count
     root = np.random.default_rng(count).normal(size=(n, n))
@@ -795,7 +795,7 @@ def corners(C):
     return np.array(found)[inside]
 
 
-@pytest.mark.parametrize("seeds", [60, slow(1000)])
+@pytest.mark.parametrize("seeds", [30, slow(1000)])
 def test_a_pair_of_a_polyhedron_counts_what_it_misses_and_misses_little(seeds):
     """w + tau p tells nothing of w, on which the corner depends that p is normal to."""
     exact = 0

@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from cases import case, slow
+from cases import slow
 from distributed import LocalCluster
 from processes import started
+from reference_cases import case
 from test_cli import make_scene
 
 import sweepopt as so
