@@ -36,6 +36,7 @@ from sweepopt.fem import (
     read_scene,
 )
 from sweepopt.fem.contact import Rows, Yield, slip_of
+from sweepopt.fem.pictures import driven
 
 # loads that start at once
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -218,6 +219,9 @@ def test_bounds_move_in_time_by_a_history_or_a_formula():
         scene = body(plate, [*MATERIAL, Dashpot("body", 1.0), friction, push])
         velocities.append(scene.solve(t_end=1.0, steps=10, scheme="implicit-euler").velocity)
     np.testing.assert_allclose(*velocities, atol=1e-12)
+    half = Friction("body", "1 + x", history=so.Constant(0.5))
+    contact = body(plate, [*MATERIAL, Dashpot("body", 1.0), half]).contact
+    np.testing.assert_allclose(contact.bound, 0.5 + 0.5 * contact.points[:, 0])  # at t = 0
     end = plate.expand(velocities[0][[2, 9]])
     assert not end[0].any()
     np.testing.assert_allclose(end[1][:, 0], 0.4 - 0.25, atol=1e-9)
@@ -369,6 +373,47 @@ def test_a_prescribed_displacement_is_met_and_its_traction_relaxes():
     scene = body(plate, [Viscosity(1e-9), Elasticity(E=3.0, nu=0.25), pull])
     end = scene.displacement(scene.solve(t_end=1.0, steps=4, scheme="implicit-euler"))[-1]
     np.testing.assert_allclose(end, [0.25, -0.0625] * plate.points, atol=1e-8)
+
+
+def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_they_meet():
+    ramp = so.Table([0.0, 1.0], [0.0, 1.0])
+    block = Discretisation(square(2), ["left", "bottom"])
+    moved = PrescribedDisplacement("left", ramp, d="1 + y")
+    scene = body(block, [*MATERIAL, moved, PrescribedDisplacement("left", ramp, d=2.0)])
+    end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
+    left = np.isclose(block.points[:, 0], 0.0)
+    np.testing.assert_allclose(end[left], 3.0 + block.points[left, 1], rtol=1e-14)
+    with pytest.raises(so.InputError, match=r"effects\[2\].on: left has nodes that another effect"):
+        body(block, [*MATERIAL, moved, PrescribedDisplacement("bottom", ramp)])
+    wedge = Discretisation(
+        square(2), (), kind="plane strain", held={"left": "x", "bottom": "y", "right": "x"}
+    )
+    pulls = [
+        PrescribedDisplacement("left", ramp, d=[0.1, 0.0]),
+        PrescribedDisplacement("bottom", ramp, d=[0.0, 0.2]),
+    ]
+    scene = body(wedge, [*MATERIAL, *pulls])
+    end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
+    np.testing.assert_allclose(end[np.argmin(wedge.points.sum(axis=1))], [0.1, 0.2], rtol=1e-14)
+
+
+@pytest.mark.parametrize("form", [0.5, "0.5 + 0*t"])
+def test_the_reaction_of_a_bar_that_is_warmed_and_pulled_is_that_of_its_end(form):
+    """E (d - strain) / (1 - nu) less its share of a force that the other end takes the rest of."""
+    moved = so.Table([0.0, 1.0], [0.0, 0.002])
+    sides = {"left": "x", "right": "x", "bottom": "y", "top": "y"}
+    bar = Discretisation(grid([1.0, 1.0], [2, 2]), (), kind="plane stress", held=sides)
+    effects = [
+        Dashpot("body", 1e-9),
+        Elasticity(E=3.0, nu=0.25),
+        Eigenstrain(so.Constant(), 1e-2, 3.0, 0.25),
+        BodyForce(so.Constant(), [form, 0.0]),
+        PrescribedDisplacement("right", moved, [1.0, 0.0]),
+    ]
+    scene = body(bar, effects)
+    _, reaction, _ = driven(scene, scene.solve(t_end=1.0, steps=2, scheme="implicit-euler"))
+    law = 3.0 * (0.002 / (1 - 0.25**2) - 1e-2 / (1 - 0.25)) - 0.25
+    assert reaction[-1] == pytest.approx(law, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -314,12 +314,15 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     place = body.place("on", law.on, nodal=True)
     nodes, N = place.nodes.T, body.scalar.N
 
+    def phi(t: float) -> float:
+        return 1.0 if law.history is None else float(law.history(t))
+
     def moving_bound(k: Indices, t: float) -> Array:
-        phi = 1.0 if law.history is None else float(law.history(t))
-        return np.asarray(_thresholds(law, place, N, t, phi)[k] / weight[k])
+        return np.asarray(_thresholds(law, place, N, t, phi(t))[k] / weight[k])
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
     threshold = _thresholds(law, place, N, body.start)
+    at_start = _thresholds(law, place, N, body.start, phi(body.start))
     finite = bool(np.isfinite(threshold).all())
     by_formula = in_time(law.g) or in_time(law.p) or (law.history is not None and not finite)
     if law.slip is not None and (law.history is not None or by_formula or not finite):
@@ -344,7 +347,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         bound = threshold[k] / weight[k]
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
-        contact = Contact(some, k, body.points[k], names[at], arc[at], weight[k], threshold[k])
+        contact = Contact(some, k, body.points[k], names[at], arc[at], weight[k], at_start[k])
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
         metric = None

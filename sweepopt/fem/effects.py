@@ -164,12 +164,16 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
     return np.asarray(2 * mu[..., None] * strain)
 
 
-def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
-    """A and B of all degrees of freedom, of the body with nothing held or turned."""
+def released(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any, list[Force]]:
+    """A, B and loads of all degrees of freedom, of the body with nothing held or turned."""
     own = [(one, one.contribute(space)) for one in effects]
     free = space.with_unknowns(clamped=(), held={}, turned=())
-    parts = [one.contribute(free) for one, part in own if part.A is not None or part.B is not None]
-    return total(parts, "A"), total(parts, "B")
+    parts = [
+        one.contribute(free)
+        for one, part in own
+        if part.A is not None or part.B is not None or part.loads
+    ]
+    return total(parts, "A"), total(parts, "B"), [load for part in parts for load in part.loads]
 
 
 class Record:
@@ -628,15 +632,10 @@ class PrescribedDisplacement(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
-        place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
-        full = np.zeros(body.nodes.size)
-        for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
-            full[dofs[place.nodes.T]] = place.values(coefficient, datum)
-        T = body.frame.T
-        along = T.T @ full
-        given = np.abs(along) > TURNED * np.abs(along).max()
+        place, along = self._along(body)
+        given = along != 0
         along[body.free] = 0.0
-        if not full.any():
+        if not given.any():
             return Contribution()
         if not along.any():
             raise InputError(
@@ -649,7 +648,23 @@ class PrescribedDisplacement(Record):
                     f"on: {some} of {every} nodes of {', '.join(self.on)} are held along d; clamp "
                     "or hold all of it"
                 )
-        return Contribution(lift=(self.history, np.asarray(T @ along)))
+        for other in [one for one in body.effects if isinstance(one, PrescribedDisplacement)]:
+            if set(other.on) != set(self.on) and (along * other._along(body)[1]).any():
+                raise InputError(
+                    f"on: {', '.join(self.on)} has nodes that another effect moves as well, on "
+                    f"{', '.join(other.on)}, and the sum would be wrong there; name all boundaries "
+                    "in one effect, with d as a formula"
+                )
+        return Contribution(lift=(self.history, np.asarray(body.frame.T @ along)))
+
+    def _along(self, body: Discretisation) -> tuple[Place, Array]:
+        """Where, and d along the directions of the nodes, of all degrees of freedom."""
+        place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
+        full = np.zeros(body.nodes.size)
+        for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
+            full[dofs[place.nodes.T]] = place.values(coefficient, datum)
+        along = body.frame.T.T @ full
+        return place, np.where(np.abs(along) > TURNED * np.abs(along).max(), along, 0.0)
 
 
 @dataclass(frozen=True)
