@@ -210,6 +210,29 @@ def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
         assert scene.contact.of(sol.velocity[0]).any() == moves
 
 
+@pytest.mark.parametrize(
+    "other, told",
+    [(Friction("body", 0.1), True), (Friction("left", 0.1), False), (OneWay("left", "x"), False)],
+    ids=["disc", "edge", "one-way"],
+)
+def test_a_traction_is_told_where_friction_alone_bounds_the_force_of_a_node(other, told):
+    plate, effects = sheet()
+    scene = body(plate, [*effects, other, BodyForce(so.Constant(), [3.0, 2.0])])
+    slip = slip_of(scene, scene.solve(t_end=0.1, steps=1, scheme="implicit-euler", tol=1e-9))
+    own = told | (slip.contact.points[:, 0] > 0)
+    np.testing.assert_array_equal(np.isnan(slip.traction[0]).any(axis=1), ~own)
+    np.testing.assert_array_equal(np.isnan(slip.use[0]), ~own)
+    assert slip.use[0, own] == pytest.approx(1.0, abs=1e-6)  # all of it slips
+
+
+def test_a_traction_beside_a_yield_stress_is_not_told():
+    effects = [Viscosity(1.0), Friction("right", 0.1), BodyForce(so.Constant()), YieldStress(0.3)]
+    scene = antiplane(square(3), clamped="left", effects=effects)
+    slip = slip_of(scene, scene.solve(t_end=0.2, steps=2, scheme="implicit-euler"))
+    assert slip.velocity.any()
+    assert np.isnan(slip.traction).all()
+
+
 def test_bounds_move_in_time_by_a_history_or_a_formula():
     plate, _ = sheet()
     ramp = so.Table([0.0, 1.0], [1.0, 0.5])

@@ -314,15 +314,13 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     place = body.place("on", law.on, nodal=True)
     nodes, N = place.nodes.T, body.scalar.N
 
-    def phi(t: float) -> float:
-        return 1.0 if law.history is None else float(law.history(t))
-
     def moving_bound(k: Indices, t: float) -> Array:
-        return np.asarray(_thresholds(law, place, N, t, phi(t))[k] / weight[k])
+        return np.asarray(_thresholds(law, place, N, t, law.history)[k] / weight[k])
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
-    threshold = _thresholds(law, place, N, body.start)
-    at_start = _thresholds(law, place, N, body.start, phi(body.start))
+    threshold, at_start = (
+        _thresholds(law, place, N, body.start, phi) for phi in (None, law.history)
+    )
     finite = bool(np.isfinite(threshold).all())
     by_formula = in_time(law.g) or in_time(law.p) or (law.history is not None and not finite)
     if law.slip is not None and (law.history is not None or by_formula or not finite):
@@ -361,10 +359,12 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     return yields
 
 
-def _thresholds(law: Friction, place: Place, size: int, t: float, phi: float = 1.0) -> Array:
-    """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
+def _thresholds(law: Friction, place: Place, size: int, t: float, phi: Any) -> Array:
+    """Friction forces, times a history, at which the nodes slip, of all nodes, shape (size,)."""
     with np.errstate(invalid="ignore"):
-        forces = phi * prod(law.values_at(place, t)) * place.basis.dx
+        forces = (
+            (1.0 if phi is None else float(phi(t))) * prod(law.values_at(place, t)) * place.basis.dx
+        )
     forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 
@@ -456,12 +456,14 @@ class Slip:
     velocity : ndarray, shape (n, m) or (n, m, components)
         Exactly 0.0 where a node sticks.
     traction : ndarray, shape (n, m) or (n, m, components)
-        q_k, against the velocity.
+        q_k, against the velocity; nan where a part of A u' + B u - f is another bounded force
+        whose share is not known: of a yield stress, one-way motion, friction of other components.
     bound : ndarray, shape (n, m)
         g_k at these times and states, which a law of the slip or a bound that moves changes.
     use : ndarray, shape (n, m)
         Share of the bound that the traction takes, with its sign where it has one; of ellipses in
-        their own metric: 1 is on the ellipse.
+        their own metric: 1 is on the ellipse. It is nan where the traction is, and of several
+        frictions with other axes at a node it is meant for one alone, as their sum is no ellipse.
     """
 
     contact: Contact
@@ -538,13 +540,16 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
+    laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
+    mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
+    weight = np.where(mixed, np.nan, contact.weight)
     return Slip(
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
         displacement=contact.of(solution.u),
         velocity=contact.of(solution.velocity),
-        traction=force / (contact.weight[:, None] if several else contact.weight),
+        traction=force / (weight[:, None] if several else weight),
         bound=bound / contact.weight,
-        use=use,
+        use=np.where(mixed, np.nan, use),
     )

@@ -195,7 +195,7 @@ class Record:
 
     def __post_init__(self) -> None:
         given = {name: value for name, value in vars(self).items() if value is not None}
-        if "on" in vars(self):
+        if "on" in given or ("on" in vars(self) and not hasattr(type(self), "on")):
             object.__setattr__(self, "on", boundary_names("on", vars(self)["on"]))
         if "history" in given and not callable(given["history"]):
             raise InputError(
