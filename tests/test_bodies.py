@@ -400,14 +400,15 @@ def test_a_prescribed_displacement_is_met_and_its_traction_relaxes():
 
 def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_they_meet():
     ramp = so.Table([0.0, 1.0], [0.0, 1.0])
-    block = Discretisation(square(2), ["left", "bottom"])
     moved = PrescribedDisplacement("left", ramp, d="1 + y")
+    block = Discretisation(square(2), "left")
     scene = body(block, [*MATERIAL, moved, PrescribedDisplacement("left", ramp, d=2.0)])
     end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
     left = np.isclose(block.points[:, 0], 0.0)
     np.testing.assert_allclose(end[left], 3.0 + block.points[left, 1], rtol=1e-14)
-    with pytest.raises(so.InputError, match=r"effects\[2\].on: left has nodes that another effect"):
-        body(block, [*MATERIAL, moved, PrescribedDisplacement("bottom", ramp)])
+    both = Discretisation(square(2), ["left", "bottom"])
+    with pytest.raises(so.InputError, match=r"effects\[2\].on: left shares nodes with bottom"):
+        body(both, [*MATERIAL, moved, PrescribedDisplacement("bottom", ramp)])
     wedge = Discretisation(
         square(2), (), kind="plane strain", held={"left": "x", "bottom": "y", "right": "x"}
     )
@@ -418,6 +419,25 @@ def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_
     scene = body(wedge, [*MATERIAL, *pulls])
     end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
     np.testing.assert_allclose(end[np.argmin(wedge.points.sum(axis=1))], [0.1, 0.2], rtol=1e-14)
+
+
+def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():
+    ramp, mesh = so.Table([0.0, 1.0], [0.0, 1.0]), square(2)
+    sides = {"left": "x", "bottom": "n"}
+    for slope in (0.0, 0.3):
+        slanted = np.array([mesh.p[0], mesh.p[1] + slope * mesh.p[0] * (1 - mesh.p[1])])
+        block = type(mesh)(slanted, mesh.t).with_boundaries(mesh.boundaries)
+        die = Discretisation(block, kind="plane strain", held=sides)
+        corner = np.argmin(die.points.sum(axis=1))
+
+        def along(x, slope=slope):
+            return 0.1 * slope * np.isclose(x[1], 0.0)
+
+        scene = body(die, [*MATERIAL, PrescribedDisplacement("left", ramp, [0.1, along])])
+        end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
+        np.testing.assert_allclose(end[corner], [0.1, 0.1 * slope], rtol=1e-14)
+    with pytest.raises(so.InputError, match="on: left shares nodes with bottom, which is held"):
+        body(die, [*MATERIAL, PrescribedDisplacement("left", ramp, d=[0.1, 0.0])])
 
 
 @pytest.mark.parametrize("form", [0.5, "0.5 + 0*t"])

@@ -34,6 +34,7 @@ from sweepopt.display import Brief, by_parts
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Rows, Yield, friction_on
 from sweepopt.fem.fields import Array, Coefficient, Datum, SlipLaw, in_time
+from sweepopt.fem.frames import held_directions
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
 from sweepopt.loads import History
 
@@ -412,7 +413,9 @@ class Friction(Record):
     Intervals where one component slips, discs where two do (the contact of a solid, a sheet on its
     face), balls in a volume. The bound does not depend on the normal force: in the plane and in a
     solid a run with the normal displacement free is well posed too, but the face moves across the
-    floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch.
+    floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch. Where two boundaries
+    with friction meet under an angle and only one of them is held so, nodes of the edge rub along
+    it alone, and half a cell's friction of the other direction is lacking: an error of O(h).
 
     Parameters
     ----------
@@ -603,12 +606,14 @@ class PrescribedDisplacement(Record):
         phi(t) as data, whose rate is known: Table, Sine, Triangle, Constant, Polynomial.
     d : number, formula, mapping of boundary to number, Profile or callable
         Displacement at phi = 1 (m); in the plane and in solids a list, one for each of x, y and z,
-        of which the components that are held are taken.
+        of which the components that are held are taken. Where another boundary meets these, it must
+        agree with what is held there.
 
     Raises
     ------
     InputError
-        If the history is no data, nothing is held there, or a name is missing.
+        If the history is no data, nothing is held there, another boundary is moved by it, or a name
+        is missing.
 
     Examples
     --------
@@ -632,10 +637,15 @@ class PrescribedDisplacement(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
-        place, along = self._along(body)
-        given = along != 0
+        place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
+        full = np.zeros(body.nodes.size)
+        for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
+            full[dofs[place.nodes.T]] = place.values(coefficient, datum)
+        T = body.frame.T
+        along = T.T @ full
+        given = np.abs(along) > TURNED * np.abs(along).max()
         along[body.free] = 0.0
-        if not given.any():
+        if not full.any():
             return Contribution()
         if not along.any():
             raise InputError(
@@ -648,23 +658,16 @@ class PrescribedDisplacement(Record):
                     f"on: {some} of {every} nodes of {', '.join(self.on)} are held along d; clamp "
                     "or hold all of it"
                 )
-        for other in [one for one in body.effects if isinstance(one, PrescribedDisplacement)]:
-            if set(other.on) != set(self.on) and (along * other._along(body)[1]).any():
+        lift = np.asarray(T @ along)
+        for name, nodes, directions in held_directions(body):
+            moved = np.abs((directions * lift[body.nodes.T[nodes]]).sum(axis=1)).max()
+            if name not in self.on and moved > TURNED * np.abs(lift).max():
                 raise InputError(
-                    f"on: {', '.join(self.on)} has nodes that another effect moves as well, on "
-                    f"{', '.join(other.on)}, and the sum would be wrong there; name all boundaries "
-                    "in one effect, with d as a formula"
+                    f"on: {', '.join(self.on)} shares nodes with {name}, which is held there "
+                    f"along d; name both in one effect, or let d be functions that leave {name} "
+                    "where it is"
                 )
-        return Contribution(lift=(self.history, np.asarray(body.frame.T @ along)))
-
-    def _along(self, body: Discretisation) -> tuple[Place, Array]:
-        """Where, and d along the directions of the nodes, of all degrees of freedom."""
-        place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
-        full = np.zeros(body.nodes.size)
-        for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
-            full[dofs[place.nodes.T]] = place.values(coefficient, datum)
-        along = body.frame.T.T @ full
-        return place, np.where(np.abs(along) > TURNED * np.abs(along).max(), along, 0.0)
+        return Contribution(lift=(self.history, lift))
 
 
 @dataclass(frozen=True)
@@ -672,7 +675,8 @@ class Eigenstrain(Record):
     """``<f, v> = phi(t) int sigma0 tr e(v)``: a strain that no stress makes, such as heat's.
 
     sigma0 = E strain / (1 - 2 nu) is the pressure that undoes it; in plane stress E strain / (1 -
-    nu). The moduli are to be those of the elasticity.
+    nu). The moduli are to be those of the elasticity: viscosities and Maxwell branches see the
+    whole strain and resist an eigenstrain that moves.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ normal, and the axes, in this order; `T` has these bases as blocks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sweepopt.fem.fields import Array, Indices
     from sweepopt.fem.spaces import Discretisation
 
+AXES = "xyz"
 PARALLEL = 1e-6
 """Sine of the angle below which two directions that are held are one: normals of facets round."""
 NEW_DIRECTION = 0.5
@@ -42,7 +43,17 @@ class Frame(NamedTuple):
     normal: NDArray[np.bool_]
 
 
-def frame_of(body: Discretisation, held: list[tuple[str, str]]) -> Frame:
+def held_directions(body: Discretisation) -> Iterator[tuple[str, Indices, Array]]:
+    """Of each component that is held on a boundary the name, the nodes, and its directions."""
+    axes = np.eye(body.components)
+    all_held = dict.fromkeys(body.clamped or (), AXES[: body.components])
+    for name, what in [*all_held.items(), *body.held.items()]:
+        nodes, normals = normals_at(body, [name])
+        for letter in what:
+            yield name, nodes, normals if letter == "n" else axes[AXES.index(letter)]
+
+
+def frame_of(body: Discretisation) -> Frame:
     """The frame of a body with components held on boundaries."""
     size, d = body.scalar.N, body.components
     count, normal = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=bool)
@@ -59,17 +70,14 @@ def frame_of(body: Discretisation, held: list[tuple[str, str]]) -> Frame:
         basis[nodes[new], count[nodes[new]]] = directions[new] / length[new, None]
         count[nodes[new]] += 1
 
-    axes = np.eye(d)
-    for name, what in held:
-        nodes, normals = normals_at(body, [name])
-        for letter in what:
-            add(nodes, normals if letter == "n" else axes["xyz".index(letter)])
+    for _, nodes, directions in held_directions(body):
+        add(nodes, directions)
     fixed = count.copy()
     if body.turned and d > 1:
         nodes, normals = normals_at(body, body.turned)
         add(nodes, normals)
         normal[nodes] = count[nodes] > fixed[nodes]
-    for axis in axes:
+    for axis in np.eye(d):
         add(np.arange(size), axis, NEW_DIRECTION)
     dofs = body.nodes.T  # node, direction
     rows, columns = (np.broadcast_to(x, basis.shape) for x in (dofs[:, None, :], dofs[:, :, None]))

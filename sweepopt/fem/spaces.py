@@ -27,7 +27,7 @@ from sweepopt.checks import choice, count, floats, meaning
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
-from sweepopt.fem.frames import Frame, frame_of
+from sweepopt.fem.frames import AXES, Frame, frame_of
 from sweepopt.fem.mesh import CELLS, check_mesh, nested, read_mesh, refined
 from sweepopt.io import as_path
 
@@ -48,7 +48,6 @@ SPLIT = {"P1": [[0, 1, 2]], "P2": [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]}
 """Local points of the linear triangles that draw one element."""
 BODY = "body"
 """What effects call the whole of it, where no boundary or subdomain has that name."""
-AXES = "xyz"
 
 
 @meaning(degree='; give element, "P1" or "P2"', order='; give element, "P1" or "P2"')
@@ -215,8 +214,7 @@ class Discretisation(Brief):
     @cached_property
     def frame(self) -> Frame:
         """At each node the directions of its degrees of freedom, those that are held first."""
-        all_held = dict.fromkeys(self.clamped or (), AXES[: self.components])
-        return frame_of(self, [*all_held.items(), *self.held.items()])
+        return frame_of(self)
 
     def with_unknowns(self, **fields: Any) -> Discretisation:
         """The same with other values of `clamped`, `held` or `turned`."""
