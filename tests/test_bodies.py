@@ -41,7 +41,7 @@ from sweepopt.fem.contact import Rows, Yield, slip_of
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
 KINDS = {"plane strain": [2.0, 1.0], "plane stress": [2.0, 1.0], "solid": [2.0, 1.0, 1.5]}
-MATERIAL = Viscosity(1.0), Elasticity(E=3.0, nu=0.3)
+MATERIAL = Viscosity(1.0, zeta=1.5), Elasticity(E=3.0, nu=0.3)  # zeta / eta = 2 nu / (1 - 2 nu)
 
 
 def space(kind, cells=2, element="P1", **more):
@@ -65,7 +65,7 @@ def test_a_uniform_traction_strains_a_block_as_hookes_law_says(kind, element):
 
 
 @pytest.mark.parametrize(
-    "more", [[], [MaxwellBranch(0.5, E=2.0, nu=0.1)], [{"Hk": 1.0}], [{"Hi": 1.0}]]
+    "more", [[], [MaxwellBranch(0.5, E=2.0, nu=0.3)], [{"Hk": 1.0}], [{"Hi": 1.0}]]
 )
 @pytest.mark.parametrize(
     "kind, element", [("plane stress", "P1"), ("plane stress", "P2"), ("solid", "P1")]
@@ -75,7 +75,8 @@ def test_the_stress_of_a_block_is_the_traction_on_its_end_whatever_it_is_made_of
 ):
     plastic = [fem.Plasticity(0.5, **one) for one in more if isinstance(one, dict)]
     pull = Traction("right", so.Sine(1.0, period=4.0), f2=2.0)
-    effects = [Viscosity(1.0, zeta=0.4), MATERIAL[1], *(plastic or more), pull]
+    viscous = [] if plastic and kind == "plane stress" else MATERIAL[:1]
+    effects = [*viscous, MATERIAL[1], *(plastic or more), pull]
     scene = body(space(kind, element=element), effects, t_end=3.0, steps=6, scheme="implicit-euler")
     solution = scene.solve(tol=1e-10)
     traction = 2 * abs(np.sin(np.pi / 2 * solution.t[1:]))
@@ -83,6 +84,28 @@ def test_the_stress_of_a_block_is_the_traction_on_its_end_whatever_it_is_made_of
     np.testing.assert_allclose(stress, np.broadcast_to(traction[:, None], stress.shape), atol=1e-8)
     np.testing.assert_array_equal(scene.stress(solution, [1.5, 3.0]), stress[[2, 5]])
     assert not plastic or scene.plastic_strain(solution)[-1].min() > 0.01
+
+
+def test_a_sheet_creeps_as_a_solid_with_free_faces_and_laws_that_would_not_are_refused():
+    pull = Traction("right", so.Constant(), f2=1.0)
+    branch = MaxwellBranch(0.5, E=2.0, nu=0.3)
+    ends = []
+    for kind in ("plane stress", "solid"):
+        scene = body(space(kind), [*MATERIAL, branch, pull])
+        sol = scene.solve(t_end=1.0, steps=20, tol=1e-10)
+        at = np.argmin(np.linalg.norm(scene.discretisation.points[:, :2] - [2.0, 1.0], axis=1))
+        ends.append(scene.displacement(sol)[:, at, :2])
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+    others = {
+        r"\[0\]\.zeta: .* Elasticity has another": [Viscosity(1.0), MATERIAL[1]],
+        r"\[0\]\.nu: .* Elasticity has another": [MATERIAL[1], Elasticity(E=1.0, nu=0.2)],
+        r"\[0\]\.nu: .* MaxwellBranch has": [MATERIAL[1], MaxwellBranch(0.5, E=2.0, nu=0.1)],
+        r"\[2\]\.on: .* viscosity": [*MATERIAL, fem.Plasticity(0.5, Hk=1.0)],
+    }
+    for message, effects in others.items():
+        with pytest.raises(so.InputError, match=message):
+            body(space("plane stress"), [*effects, pull])
+        body(space("solid"), [*effects, pull])
 
 
 def test_shear_stress_is_that_of_the_traction_and_none_where_strains_do_not_tell_it():
@@ -366,7 +389,7 @@ def test_a_prescribed_displacement_is_met_and_its_traction_relaxes():
         held={"right": "x", "left": "x", "bottom": "y"},
     )
     pull = PrescribedDisplacement("right", ramp, d=[2.0, 0.0])
-    scene = body(plate, [Viscosity(1e-9), Elasticity(E=3.0, nu=0.25), pull])
+    scene = body(plate, [Viscosity(1e-9, zeta=1e-9), Elasticity(E=3.0, nu=0.25), pull])
     end = scene.displacement(scene.solve(t_end=1.0, steps=4, scheme="implicit-euler"))[-1]
     np.testing.assert_allclose(end, [0.25, -0.0625] * plate.points, atol=1e-8)
 
@@ -503,7 +526,7 @@ def test_friction_that_would_not_see_a_displacement_along_it_is_refused():
 def test_a_branch_on_a_body_that_a_foundation_alone_holds_is_refused_by_its_name():
     sheet = {"mesh": {"sizes": [2.0, 1.0], "cells": [4, 2]}, "clamped": [], "kind": "plane stress"}
     effects = {
-        "viscosity": {"eta": 1.0},
+        "viscosity": {"eta": 1.0, "zeta": 1.5},
         "foundation": {"on": "body", "k": 2.0},
         "maxwell": [{"tau": 1.0, "E": 1.0, "nu": 0.3}],
     }

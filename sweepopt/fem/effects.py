@@ -233,8 +233,9 @@ class Viscosity(Record):
 
     Notes
     -----
-    In plane stress each of the tensors of viscosity and elasticity is condensed on its own, which
-    is exact where they are proportional.
+    In plane stress each law is condensed on its own, which is exact where all are proportional:
+    zeta = 2 nu eta / (1 - 2 nu) beside an elasticity; others are refused, but for tensors, which
+    are those of the plane.
 
     Examples
     --------
@@ -254,14 +255,14 @@ class Viscosity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=_stiffness(body, self._viscosities, self.tensor))
+        return Contribution(A=_stiffness(body, self))
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 eta dev e(u')."""
-        law = self._viscosities
+        law = self.moduli
         return None if self.eta is None else lambda motion: shear_stress(body, law, motion.rate)
 
-    def _viscosities(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """zeta and eta at the points of a quadrature; eta is None where a tensor is given."""
         *eta, zeta = self.values_at(place)
         return zeta, eta[0] if eta else None
@@ -311,13 +312,13 @@ class Elasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
-        B = _stiffness(body, self.lame, self.tensor)
+        B = _stiffness(body, self)
         return Contribution(B=B if B.count_nonzero() else None)
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 mu dev e(u)."""
         known = self.tensor is None
-        return (lambda motion: shear_stress(body, self.lame, motion.u)) if known else None
+        return (lambda motion: shear_stress(body, self.moduli, motion.u)) if known else None
 
     def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
@@ -332,6 +333,8 @@ class Elasticity(Record):
             _check_compressible(nu)
             lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
         return lam, mu
+
+    moduli = lame
 
 
 @dataclass(frozen=True)
@@ -849,6 +852,10 @@ class MaxwellBranch:
             lambda motion: spring(motion._replace(u=motion.u - body.expand(motion.internal)))
         )
 
+    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+        """Those of the spring."""
+        return self.spring().moduli(body, place)
+
     def contribute(self, body: Discretisation) -> Contribution:
         """Matrices of u and w; none if the moduli are zero everywhere."""
         S = self.spring().contribute(body).B
@@ -938,10 +945,13 @@ def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[i
     return law | {(i, i): mu for i in range(d, size)}
 
 
-def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_array:
+def _stiffness(body: Discretisation, effect: Viscosity | Elasticity) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
     place = body.whole
-    strain, law = strains_of(body), _hooke(body, *moduli(body, place), tensor)
+    lam, mu = effect.moduli(body, place)
+    if body.kind == "plane stress" and mu is not None:
+        _check_proportional(body, lam / mu, "zeta" if isinstance(effect, Viscosity) else "nu")
+    strain, law = strains_of(body), _hooke(body, lam, mu, effect.tensor)
 
     def form(u: Any, v: Any, _: Any) -> Any:
         a, b = strain(u), strain(v)
@@ -949,6 +959,20 @@ def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_arra
 
     restricted: sp.csc_array = body.restrict(place.matrix(form))
     return restricted
+
+
+def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
+    """Refuse laws that differ in lam / mu: in plane stress they share the strain across it."""
+    for one in body.effects:
+        if hasattr(one, "moduli"):
+            lam, mu = one.moduli(body, body.whole)
+            if mu is not None and not np.allclose(lam / mu, ratio, rtol=1e-9):
+                raise InputError(
+                    f"{name}: in plane stress viscosity, elasticity and Maxwell branches need one "
+                    "Poisson's ratio, as the strain across the plane follows from all of them, and "
+                    f"{type(one).__name__} has another: give all the same nu, and viscosity zeta = "
+                    "2 nu eta / (1 - 2 nu), or take kind = 'solid'"
+                )
 
 
 def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:

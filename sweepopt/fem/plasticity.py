@@ -92,6 +92,13 @@ class Plasticity(Record):
             raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place))
         at_points = self._moduli(body, place)
+        if body.kind == "plane stress" and any(
+            hasattr(one, "moduli") and not hasattr(one, "lame") for one in body.effects
+        ):
+            raise InputError(
+                "on: in plane stress viscosity and Maxwell branches beside plasticity are not "
+                "offered: they would lack its strain across the plane; take kind = 'solid'"
+            )
         every = [one.cells(body) for one in body.effects if isinstance(one, Plasticity)]
         if np.bincount(np.concatenate(every)).max() > 1:
             raise InputError(
