@@ -166,9 +166,9 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
 
 def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
     """A and B of all degrees of freedom, of the body with nothing held or turned."""
-    own = [(one, one.contribute(space)) for one in effects]
     free = space.with_unknowns(clamped=(), held={}, turned=())
-    parts = [one.contribute(free) for one, part in own if part.A is not None or part.B is not None]
+    acting = [one for one in effects if not isinstance(one, PrescribedDisplacement)]
+    parts = [one.contribute(free) for one in acting]
     return total(parts, "A"), total(parts, "B")
 
 
