@@ -581,7 +581,8 @@ class PointForce(Record):
             raise InputError(f"at: the point {shown(self.at)} is not in the body")
         full = np.zeros(body.nodes.size)
         full[body.nodes] = values[:, None] * shape
-        return Contribution(loads=[(self.history, body.restrict(full))])
+        f = _restrict(body, f"at: the point {shown(self.at)}", full)
+        return Contribution(loads=[(self.history, f)])
 
 
 @dataclass(frozen=True)
@@ -951,11 +952,11 @@ def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_arra
     return restricted
 
 
-def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:
+def _restrict(body: Discretisation, where: str, x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
     if size and abs(restricted).sum() <= TURNED * size:
-        raise InputError(f"on: all of {', '.join(on)} is clamped or held; nothing moves there")
+        raise InputError(f"{where} is clamped or held; nothing moves there")
     return restricted
 
 
@@ -963,7 +964,8 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v on the unknowns."""
     place = body.place("on", effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
-    return _restrict(body, effect.on, place.matrix(lambda u, v, _: c * inner(u, v)))
+    where = f"on: all of {', '.join(effect.on)}"
+    return _restrict(body, where, place.matrix(lambda u, v, _: c * inner(u, v)))
 
 
 def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place: Place) -> Force:
@@ -982,6 +984,7 @@ def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place:
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(_restrict(body, getattr(effect, "on", (BODY,)), place.vector(form)))
+        where = f"on: all of {', '.join(getattr(effect, 'on', (BODY,)))}"
+        return np.asarray(_restrict(body, where, place.vector(form)))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)
