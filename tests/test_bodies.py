@@ -573,3 +573,20 @@ def test_a_boundary_with_the_name_of_a_subdomain_is_pulled_and_held_as_any_other
     assert np.array_equal(*(body(one, [MATERIAL[0], hold]).lifts[0][1] for one in ends))
     with pytest.raises(so.InputError, match="on: 'right' is a boundary and a subdomain"):
         body(ends[1], [MATERIAL[0], Friction("right", g=1.0)])
+
+
+def test_prescribed_displacements_of_two_boundaries_do_not_add_up_at_their_corner():
+    ends = Discretisation(grid([1.0, 1.0], [2, 2]), ["left", "bottom"])
+    ramp, wave = so.Table([0.0, 1.0], [0.0, 1.0]), so.Sine(1.0, period=2.0)
+    left, bottom = (PrescribedDisplacement(name, ramp) for name in ("left", "bottom"))
+    effects = [Viscosity(1.0), Elasticity(1.0), left]
+    with pytest.raises(so.InputError, match="two prescribed displacements meet at a node"):
+        body(ends, [*effects, bottom])
+    scene = body(ends, [*effects, PrescribedDisplacement("left", wave)], t_end=1.0, steps=2)
+    assert np.isclose(scene.displacement(scene.solve(on_unstable="ignore"))[1].max(), 1.5)
+
+
+def test_a_force_on_a_point_that_is_clamped_is_refused():
+    clamped = Discretisation(grid([1.0, 1.0], [2, 2]), "left")
+    with pytest.raises(so.InputError, match=r"at: the point \[0.0, 0.5\] is clamped or held"):
+        body(clamped, [Viscosity(1.0), PointForce([0.0, 0.5], so.Constant())])

@@ -383,7 +383,8 @@ def test_a_bound_that_a_path_does_not_have_is_refused_before_the_run(scene, caps
 )
 @pytest.mark.usefixtures("scene")
 def test_a_missing_package_is_named_before_the_run(package, extra, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, package, None)
+    for name in [package, *(one for one in sys.modules if one.startswith(f"{package}."))]:
+        monkeypatch.setitem(sys.modules, name, None)
     assert cli.main(["run", "ring.toml"]) == 2
     said = f'sweepopt: {package} is not installed; run: pip install "sweepopt[{extra}]"\n'
     assert capsys.readouterr() == ("", said)

@@ -209,6 +209,8 @@ def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(tmp_
 
     finest = study.reference(study.runs()[0].problem)
     assert (finest.refinements, finest.element) == (2, "P2")
+    own = replace(study, elements=("", "P1"))  # "" may be P2
+    assert own.reference(own.runs()[0].problem).element == "P2"
     (row,) = run(one, tmp_path / "one").itertuples()
     # on one mesh the error is that in time, which its guaranteed bound holds for
     assert row.error < 0.1 * of_p1[-1]

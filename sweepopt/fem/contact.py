@@ -273,7 +273,8 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
         return np.concatenate([getattr(one, name) for one in contacts])
 
     keep, owner = _owners(contacts)
-    weight, threshold = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
+    sums = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
+    weight, threshold = (one.astype(float) for one in sums)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.checks import at_path, count
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, brought_by
 from sweepopt.fem.scene import Scene
 from sweepopt.fem.scene_file import (
     changed,
@@ -62,8 +62,8 @@ def compare_effects(
     >>> table.path["all effects"], table.path["without friction"]
     ('proportional', 'linear')
     """
-    import pandas as pd
-
+    with brought_by("fem"):  # with xarray
+        import pandas as pd
     steps, without = count("steps", steps), names_of(without)
     data, folder, where = load_scene(source)
     with at_path(where):

@@ -166,9 +166,9 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
 
 def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
     """A and B of all degrees of freedom, of the body with nothing held or turned."""
-    own = [(one, one.contribute(space)) for one in effects]
     free = space.with_unknowns(clamped=(), held={}, turned=())
-    parts = [one.contribute(free) for one, part in own if part.A is not None or part.B is not None]
+    acting = [one for one in effects if not isinstance(one, PrescribedDisplacement)]
+    parts = [one.contribute(free) for one in acting]
     return total(parts, "A"), total(parts, "B")
 
 
@@ -584,7 +584,8 @@ class PointForce(Record):
             raise InputError(f"at: the point {shown(self.at)} is not in the body")
         full = np.zeros(body.nodes.size)
         full[body.nodes] = values[:, None] * shape
-        return Contribution(loads=[(self.history, body.restrict(full))])
+        f = _restrict(body, f"at: the point {shown(self.at)}", full)
+        return Contribution(loads=[(self.history, f)])
 
 
 @dataclass(frozen=True)
@@ -975,11 +976,11 @@ def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
                 )
 
 
-def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:
+def _restrict(body: Discretisation, where: str, x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
     if size and abs(restricted).sum() <= TURNED * size:
-        raise InputError(f"on: all of {', '.join(on)} is clamped or held; nothing moves there")
+        raise InputError(f"{where} is clamped or held; nothing moves there")
     return restricted
 
 
@@ -987,7 +988,8 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v on the unknowns."""
     place = body.place("on", effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
-    return _restrict(body, effect.on, place.matrix(lambda u, v, _: c * inner(u, v)))
+    where = f"on: all of {', '.join(effect.on)}"
+    return _restrict(body, where, place.matrix(lambda u, v, _: c * inner(u, v)))
 
 
 def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place: Place) -> Force:
@@ -1006,6 +1008,7 @@ def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place:
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(_restrict(body, getattr(effect, "on", (BODY,)), place.vector(form)))
+        where = f"on: all of {', '.join(getattr(effect, 'on', (BODY,)))}"
+        return np.asarray(_restrict(body, where, place.vector(form)))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

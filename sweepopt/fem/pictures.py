@@ -97,9 +97,9 @@ def pictures_of(scene: Scene) -> list[str]:
     if len(fitting) < len(asked) and not any("without" in one for one in scene.changes):
         reason = next(filter(None, map(reasons.get, asked)))
         raise InputError(f"pictures: {reason}; leave it out")
-    if scene.pictures is None or len(fitting) < len(asked):
-        return fitting or [name for name in AUTOMATIC if not reasons[name]]
-    return fitting
+    if scene.pictures is not None and not asked:
+        return []
+    return fitting or [name for name in AUTOMATIC if not reasons[name]]
 
 
 def choose(scene: Scene, name: str, known: Iterable[str]) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -33,6 +34,7 @@ from sweepopt.errors import InputError, result_of, shown
 from sweepopt.fem import output, pictures
 from sweepopt.fem.contact import Contact, Yield, by_history, dissipation, merged
 from sweepopt.fem.effects import (
+    TURNED,
     Contribution,
     Effect,
     Force,
@@ -535,6 +537,12 @@ def _check_lifts(
             "Maxwell branch or plasticity, which would see it; drive the body by a traction"
         )
     frame = space.frame
+    held = [np.abs(frame.T.T @ d) > TURNED * np.abs(d).max() for _, d in lifts]
+    if any((one & other).any() and (one != other).any() for one, other in combinations(held, 2)):
+        raise InputError(
+            "effects: two prescribed displacements meet at a node, which would move by their sum; "
+            "name their boundaries in one, or let one of them be 0 there"
+        )
     for node, where in [(one.contact.node, one.rows.where) for one in yields if one.contact]:
         normal_alone = (frame.held[node] == 1) & ~frame.normal[node] & (where == "trace")
         dofs = space.nodes[:, node[~normal_alone]]

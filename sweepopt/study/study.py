@@ -122,7 +122,8 @@ class Study:
         """
         if len(self.refinements) == len(self.elements) == 1:
             return source
-        return source._replace(refinements=max(self.refinements) + 1, element=max(self.elements))
+        element = "P2" if self.elements[1:] else self.elements[0]  # "" may be P2
+        return source._replace(refinements=max(self.refinements) + 1, element=element)
 
     def _source(self, name: str, value: Any) -> Source:
         path = str(as_path(name, value))
