@@ -29,6 +29,7 @@ from sweepopt.study import (
     dask_executor,
     find_source,
     halving,
+    own_source,
     processes,
     read_study,
     read_table,
@@ -139,6 +140,20 @@ def test_errors_are_those_against_exact_solutions_or_fine_runs(tmp_path):
     for row in rows.itertuples():
         assert row.error == pytest.approx(case(row.problem).errors["midpoint"]["101"], rel=0.03)
     assert rows.reference_error[0] == 0.0 < 20 * rows.reference_error[1] <= rows.error[1]
+
+
+def test_a_process_of_ones_own_is_a_problem_like_those_of_the_library(tmp_path):
+    known = problem("S03")
+    mine = own_source("mine", known.process(), known.t_end)
+    table = run(replace(SMALL, problems=(mine, "S03")), tmp_path)
+    of_mine, of_theirs = (table[table.problem == name] for name in ("mine", "S03"))
+    for column in ("status", "error", "bound", "certificate", "steps_done", "path"):
+        np.testing.assert_array_equal(of_mine[column], of_theirs[column])
+    other = own_source("mine", known.process(), 0.5 * known.t_end)
+    assert run(replace(SMALL, problems=(mine,)), tmp_path).run.isin(table.run).all()
+    assert not run(replace(SMALL, problems=(other,)), tmp_path).run.isin(table.run).any()
+    with pytest.raises(so.InputError, match="executor: processes of one's own"):
+        run(replace(SMALL, problems=(mine,)), tmp_path, executor=processes(1))
 
 
 def test_an_error_that_the_reference_cannot_tell_is_no_number(
