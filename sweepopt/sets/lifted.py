@@ -32,7 +32,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     binary,
-    places,
+    placed,
     same_array,
 )
 from sweepopt.sets.curves import basis
@@ -124,22 +124,23 @@ class Lifted(ConvexSet):
     def magnitude(self) -> float:
         if self._cut:
             return super().magnitude()
-        each = zip(self._norms, self.lifted.parts, strict=True)
-        return sum(size * part.magnitude() for size, part in each if size)
+        return sum(size * part.magnitude() for part, size in self._norms if size)
 
     def _distance(self, other: ConvexSet) -> float | None:
         if self._cut or not (isinstance(other, Lifted) and self.same_cone(other)):
             return None
-        each = zip(self._norms, self.lifted.parts, other.lifted.parts, strict=True)
-        bounds = [(size, C.distance_bound(D)) for size, C, D in each]
+        each = zip(self._norms, other.lifted.parts, strict=True)
+        bounds = [(size, C.distance_bound(D)) for (C, size), D in each]
         known = [size * distance for size, distance in bounds if distance is not None]
         return sum(known) if len(known) == len(bounds) else None
 
     @property
-    def _norms(self) -> list[float]:
-        """Bounds of |E_i| for each part."""
-        blocks = (self.lifted.E[:, at] for at in places(self.lifted.parts))
-        return [float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E))) for E in blocks]
+    def _norms(self) -> list[tuple[ConvexSet, float]]:
+        """The parts, each with a bound of |E_i|."""
+        blocks = [(part, self.lifted.E[:, at]) for part, at in placed(self.lifted.parts)]
+        return [
+            (part, float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E)))) for part, E in blocks
+        ]
 
     @cached_property
     def shift_sizes(self) -> Array:

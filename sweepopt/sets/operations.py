@@ -31,7 +31,7 @@ from sweepopt.sets.base import (
     Operators,
     is_vector,
     nested,
-    places,
+    placed,
     require_same_dim,
     row_units,
 )
@@ -121,12 +121,9 @@ def _on_few(S: ConvexSet) -> ConvexSet:
         return Aligned(Box(S.lower[few], S.upper[few]), unknowns=few, dim=S.dim)
     if type(S) is not Aligned or S.unknowns is not None:
         return S
-    where = [np.arange(S.dim)[at] for at in places(S.parts)]
-    kept = [
-        (C, at) for C, at in zip(S.parts, where, strict=True) if not C.singleton or C.anchor.any()
-    ]
-    parts, unknowns = zip(*kept, strict=True)
-    return Aligned(*parts, unknowns=np.concatenate(unknowns), dim=S.dim)
+    kept = [(C, at) for C, at in placed(S.parts) if not C.singleton or C.anchor.any()]
+    parts, where = zip(*kept, strict=True)
+    return Aligned(*parts, unknowns=np.r_[where], dim=S.dim)
 
 
 def _translated(of: Summands) -> Moving | None:
@@ -347,8 +344,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         parts = C.factors() if isinstance(C, Balls) else C.parts
         if 1 < len(parts) <= DENSE // M.shape[0]:
             # one by one: the image of a ball is exact, with columns of any sizes
-            each = zip(parts, places(parts), strict=True)
-            return reduce(add, (_image(M[:, at], S) for S, at in each))
+            return reduce(add, (_image(M[:, at], S) for S, at in placed(parts)))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:
