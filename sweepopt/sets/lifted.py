@@ -57,11 +57,12 @@ AHEAD = 1e3  # times the size of C & D: how far along p the point is that is pro
 
 
 class Lifted(ConvexSet):
-    """{ E s : s in S, F s = 0 }, S the product of exact parts."""
+    """{ E s : s in S, F s = 0 }, S the product of exact parts; the operands are what made it."""
 
     exact = False
 
-    def __init__(self, lifted: Form) -> None:
+    def __init__(self, lifted: Form, *operands: ConvexSet) -> None:
+        self.operands = operands
         unit = binary(float(np.abs(lifted.F.data).max(initial=0.0)))
         if unit != 1:  # programs see rows of numbers near 1
             lifted = lifted._replace(F=lifted.F / unit)
@@ -370,10 +371,6 @@ def _rounded(v: Array) -> Perturbation:
 class Sum(Lifted):
     """The Minkowski sum C + D:  sigma(C + D, z) = sigma(C, z) + sigma(D, z)."""
 
-    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        self.operands = first, second
-        super().__init__(Form.added(first.form(), second.form()))
-
     @property
     def anchor(self) -> Array:
         return self.operands[0].anchor + self.operands[1].anchor
@@ -406,10 +403,6 @@ class Intersection(Lifted):
     Where a curved set only touches another one the point they share moves by the square root of
     what rounds in the data, 1e-8 of their size; a projection that is lost so raises TouchingError.
     """
-
-    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        self.operands = first, second
-        super().__init__(Form.common(first.form(), second.form()))
 
     def _pair_of_one(self, v: Array) -> NormalPair | None:
         # where its point lies in the other set: exact from any v. Without it steps on a ball cut by

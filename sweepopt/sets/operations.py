@@ -27,6 +27,7 @@ from sweepopt.sets.base import (
     DENSE,
     Algebra,
     ConvexSet,
+    Form,
     NoHalfspacesError,
     Operators,
     is_vector,
@@ -205,7 +206,7 @@ def add(C: ConvexSet, other: Any) -> Any:
         return Box(C.lower + other.lower, C.upper + other.upper)
     if isinstance(C, Ball) and isinstance(other, Ball):
         return Ball(C.center + other.center, C.radius + other.radius)
-    return Sum(C, other)
+    return Sum(Form.added(C.form(), other.form()), C, other)
 
 
 @partial(over_time, linear=True)
@@ -238,7 +239,7 @@ def intersect(C: ConvexSet, D: Any) -> Any:
         return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
     have_rows = (isinstance(shape_of(S), (Box, Polyhedron)) and not S.singleton for S in (C, D))
     if C.dim > ACTIVE_DIM or not all(have_rows):
-        return Intersection(C, D)
+        return Intersection(Form.common(C.form(), D.form()), C, D)
     (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
