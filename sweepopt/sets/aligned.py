@@ -173,6 +173,10 @@ class Aligned(ConvexSet):
     def sharp_gaps(self) -> bool:
         return all(S.sharp_gaps for S in self.parts)
 
+    @property
+    def nonsmooth_dim(self) -> int:
+        return sum(S.nonsmooth_dim for S in self.parts)
+
     def exchange(self, diagonal: Array) -> Array:
         return self._joined([S.exchange(x) for S, x in self._split(diagonal)])
 
