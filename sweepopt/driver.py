@@ -105,7 +105,7 @@ def solve(
         End of the interval [0, t_end]; may be left out when `steps` is an array.
     steps : int, array_like or Adaptive
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
-        or ``Adaptive(tol)``: steps that are chosen for an error of tol.
+        or ``Adaptive(tol)``: steps chosen for an error of tol at the ends of steps.
     scheme : str
         "auto": sdirk32, in parts where a step contains breakpoints of a load that is data, unless
         they are too many; with Adaptive sdirk2. By name, on the steps as they are: "catching-up",
