@@ -188,6 +188,30 @@ def test_elliptic_friction_meets_its_law_at_every_node():
     np.testing.assert_allclose(slip_of(scene, sol).use, 1.0, atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_what_creeps_to_its_equilibrium_sticks_there_but_for_rounding():
+    """A bracket is pulled until t = 1 and held: its slip rate decays, by exp(-t / 5e-4)."""
+    space = Discretisation(
+        fem.grid([2.0, 1.0], [12, 6]), ("left", "right"), kind="plane stress", held={"bottom": "y"}
+    )
+    pull = PrescribedDisplacement("right", so.Table([0, 1, 3], [0, 1, 1]), d=[1.0, 0.0])
+    effects = [Elasticity(E=2.0, nu=0.3), Viscosity(eta=1e-3), Friction("bottom", g=0.3), pull]
+    scene = body(space, effects, t_end=3.0, steps=60)
+    sol = scene.solve()
+    slip, rates = slip_of(scene, sol), scene.contact.of(sol.velocity)
+    late, rounding = slip.t[1:] > 2.0, np.abs(rates) <= 1e-12 * np.abs(rates).max()
+    assert rates[late].any()
+    assert rounding[late].all()
+    assert not slip.state[late].any()
+    assert np.array_equal(slip.velocity, np.where(rounding, 0.0, rates))
+    # each node begins and ends to slip
+    assert (
+        slip.statistics().switches
+        <= 2 * len(scene.contact)
+        < np.count_nonzero(np.diff(np.sign(rates), axis=0))
+    )
+
+
 def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
     """tan(angle) > mu, with the pressure known; unknowns are turned with the plane."""
     angle, mesh = np.radians(30.0), grid([2.0, 1.0], [4, 2])

@@ -47,7 +47,11 @@ def test_exact_takes_it_as_the_sum_of_tables(viscosity):
 def test_exact_takes_offsets_of_rows_given_so():
     rows, offsets = np.vstack([np.eye(3), -np.eye(3)]), np.hstack([VALUES + 0.4, 0.3 - VALUES])
     C = so.Polyhedron(rows, so.VectorTable(TIMES, offsets))
-    sol = so.solve(so.SweepingProcess(0.0, np.eye(3), C=C, u0=np.zeros(3)), t_end=2.0, scheme="exact")
+    sol = so.solve(
+        so.SweepingProcess(0.0, np.eye(3), C=C, u0=np.zeros(3)), t_end=2.0, scheme="exact"
+    )
     C = so.Moving(so.Box(-0.3 * np.ones(3), 0.4 * np.ones(3)), HATS)
-    same = so.solve(so.SweepingProcess(0.0, np.eye(3), C=C, u0=np.zeros(3)), t_end=2.0, scheme="exact")
+    same = so.solve(
+        so.SweepingProcess(0.0, np.eye(3), C=C, u0=np.zeros(3)), t_end=2.0, scheme="exact"
+    )
     assert sol.u == pytest.approx(same.u, abs=1e-14)
