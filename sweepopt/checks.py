@@ -296,6 +296,20 @@ def times(name: str, value: Any) -> Array:
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
 
 
+def increasing(name: str, value: Any) -> Array:
+    """Two times or more, in order."""
+    result = vector(name, value)
+    if result.size < 2:
+        raise InputError(f"{name} must hold two times or more")
+    if (late := np.flatnonzero(np.diff(result) <= 0)).size:
+        k = int(late[0])
+        raise InputError(
+            f"{name} must increase strictly, but entry {k + 1} ({result[k + 1]:g}) follows "
+            f"entry {k} ({result[k]:g})"
+        )
+    return result
+
+
 def times_inside(value: Any, nodes: Array) -> Array:
     """Times between the ends of a run; one that misses a node by rounding is that node."""
     array, (start, end) = times("t", value), nodes[[0, -1]].tolist()

@@ -25,6 +25,7 @@ from sweepopt.checks import (
     at_path,
     axes,
     entries,
+    increasing,
     meaning,
     number,
     symmetric,
@@ -426,10 +427,7 @@ class SweepingProcess(Displayed):
             one dimension whose offsets move, sets of different kinds.
         """
         self.refuse_state("the variation of C(t)")
-        times = vector("times", times)
-        if times.size < 2 or not (np.diff(times) > 0).all():
-            raise InputError("times must hold at least two strictly increasing times")
-        return variation(self.C, self.metric, times)
+        return variation(self.C, self.metric, increasing("times", times))
 
     def velocity_bound(self, times: Array, paper: bool = False) -> VelocityBound:
         """An a priori bound of the velocity, MATH.md section 3:
