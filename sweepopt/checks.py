@@ -282,10 +282,15 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
     return bounded(name, array, "finite numbers" if finite else "numbers", finite)
 
 
+def read_only(array: Array) -> Array:
+    """An array that nobody can change."""
+    array.setflags(write=False)
+    return array
+
+
 def entries(name: str, value: Any, finite: bool = True) -> Array:
     """A float vector with at least one entry, as no set has dim 0, that nobody can change."""
-    result = vector(name, value, finite=finite)
-    result.setflags(write=False)
+    result = read_only(vector(name, value, finite=finite))
     if not result.size:
         raise InputError(f"{name} must have at least one entry")
     return result
@@ -329,10 +334,9 @@ def matrix(name: str, value: Any) -> Matrix:
     if sp.issparse(value):
         result = sp.csc_array(value, copy=True)
         result.sum_duplicates()  # in place, which others do later where it is not done
-        result.data = entry = floats(name, result.data, "a matrix of numbers")
+        result.data = read_only(floats(name, result.data, "a matrix of numbers"))
     else:
-        result = entry = floats(name, value, "a matrix of numbers")
-    entry.setflags(write=False)
+        result = read_only(floats(name, value, "a matrix of numbers"))
     if result.ndim != 2:
         raise InputError(
             f"{name} must have two axes, got shape {result.shape}; one row is [[1.0, 2.0]], a "

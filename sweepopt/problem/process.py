@@ -28,6 +28,7 @@ from sweepopt.checks import (
     increasing,
     meaning,
     number,
+    read_only,
     symmetric,
     takes,
     vector,
@@ -256,9 +257,7 @@ class SweepingProcess(Displayed):
         """C(t), or C(t, u) where it depends on the state, which its function cannot change."""
         if not isinstance(self.C, StateDependent):
             return self.C.at(t)
-        state = u.view()
-        state.flags.writeable = False
-        return self.C.of(state).at(t)
+        return self.C.of(read_only(u.view())).at(t)
 
     @cached_property
     def state_rate(self) -> float:
