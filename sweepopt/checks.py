@@ -284,10 +284,15 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
     return bounded(name, array, "finite numbers" if finite else "numbers", finite)
 
 
+def read_only(array: Array) -> Array:
+    """An array that nobody can change."""
+    array.setflags(write=False)
+    return array
+
+
 def entries(name: str, value: Any, finite: bool = True) -> Array:
     """A float vector with at least one entry, as no set has dim 0, that nobody can change."""
-    result = vector(name, value, finite=finite)
-    result.setflags(write=False)
+    result = read_only(vector(name, value, finite=finite))
     if not result.size:
         raise InputError(f"{name} must have at least one entry")
     return result
@@ -296,6 +301,20 @@ def entries(name: str, value: Any, finite: bool = True) -> Array:
 def times(name: str, value: Any) -> Array:
     """Finite times as floats, of any shape; () for one of them."""
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
+
+
+def increasing(name: str, value: Any) -> Array:
+    """Two times or more, in order."""
+    result = vector(name, value)
+    if result.size < 2:
+        raise InputError(f"{name} must hold two times or more")
+    if (late := np.flatnonzero(np.diff(result) <= 0)).size:
+        k = int(late[0])
+        raise InputError(
+            f"{name} must increase strictly, but entry {k + 1} ({result[k + 1]:g}) follows "
+            f"entry {k} ({result[k]:g})"
+        )
+    return result
 
 
 def times_inside(value: Any, nodes: Array) -> Array:
@@ -317,10 +336,9 @@ def matrix(name: str, value: Any) -> Matrix:
     if sp.issparse(value):
         result = sp.csc_array(value, copy=True)
         result.sum_duplicates()  # in place, which others do later where it is not done
-        result.data = entry = floats(name, result.data, "a matrix of numbers")
+        result.data = read_only(floats(name, result.data, "a matrix of numbers"))
     else:
-        result = entry = floats(name, value, "a matrix of numbers")
-    entry.setflags(write=False)
+        result = read_only(floats(name, value, "a matrix of numbers"))
     if result.ndim != 2:
         raise InputError(
             f"{name} must have two axes, got shape {result.shape}; one row is [[1.0, 2.0]], a "

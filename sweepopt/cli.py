@@ -299,6 +299,7 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
                 f"{100 * slip.ever:.0f} % of the contact slips at some time, "
                 f"{100 * slip.most:.0f} % at once, {report.moment(slip.time_of_most)}"
             )
+    spent = f"friction and yielding {energy.friction[-1]:.4g}{joule}"
     named = [name for name in files if not name.endswith(".vtu")]
     lines = {
         "status": solution.message,
@@ -306,11 +307,10 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
         f"{report.seconds:.3g} s of computing",
         "max displacement": f"{largest(report)['value']:.4g}{meter}",
         "slip": sliding,
-        "energy": ""
-        if report.scene.lifts  # those of what is held are not known
+        "energy": f"{spent}; the others are not known where a displacement is prescribed"
+        if report.scene.lifts
         else f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
-        f"+ viscous {energy.viscous[-1]:.4g} + friction and yielding {energy.friction[-1]:.4g} "
-        f"{-energy.balance[-1]:+.1e}{joule} (error of the scheme)",
+        f"+ viscous {energy.viscous[-1]:.4g} + {spent}; balance error {energy.balance[-1]:.1e}",
         "worst certificate": f"{solution.stats['relative'].max():.1e} (relative)",
         "written": f"{folder}: {', '.join(named)}",
     }

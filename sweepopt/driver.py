@@ -72,6 +72,7 @@ the one that took the smallest tolerance delivered its error at a share of 0.06.
     t0="; the run starts at t = 0, or at the first time of steps",
     t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
     t_eval="; give the times as save, they must be among those of steps",
+    max_step="; give steps, or steps=so.Adaptive(tol, first=max_step)",
     method="; give scheme",
     rtol="; give tol, of each step's certificate, or error, of the whole run",
     atol="; give tol, of each step's certificate, or error, of the whole run",
@@ -105,7 +106,7 @@ def solve(
         End of the interval [0, t_end]; may be left out when `steps` is an array.
     steps : int, array_like or Adaptive
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
-        or ``Adaptive(tol)``: steps that are chosen for an error of tol.
+        or ``Adaptive(tol)``: steps chosen for an error of tol at the ends of steps.
     scheme : str
         "auto": sdirk32, in parts where a step contains breakpoints of a load that is data, unless
         they are too many; with Adaptive sdirk2. By name, on the steps as they are: "catching-up",
@@ -345,7 +346,8 @@ def _guaranteed_bound(solution: Solution) -> ErrorBound:
     bound = solution._bound  # without the warning
     if not bound.guaranteed:
         raise InputError(
-            f"error= needs a guaranteed bound, without variation=: {bound.reason}; or take "
+            "error= needs a guaranteed bound: "
+            f"{bound.reason.removesuffix(', or give variation=')}; or take "
             "sol.error_bound() of a run without error="
         )
     return bound

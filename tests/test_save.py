@@ -123,6 +123,8 @@ def test_a_solution_is_loaded_as_it_was_saved(save, tmp_path):
         assert np.array_equal(same.viability(), sol.viability())
     with pytest.raises(so.InputError, match=r"loaded without its process.*load\(path, process\)"):
         so.Solution.load(files[0]).viability()
+    absent = so.Solution.load(files[0])
+    assert repr(absent.plan) == "not in the file: so.Solution.load(path, process) has it"
     with pytest.raises(so.InputError, match=r"process has dim 1, but .* has dim 40"):
         so.Solution.load(files[0], slider())
     parts = {"A": 2.0 * sol.process.A, "B": sol.process.B, "C": sol.process.C + np.full(40, 1e-3)}

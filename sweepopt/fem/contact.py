@@ -452,7 +452,7 @@ class Slip:
         that of the mean velocity in the middle: off by the error of the step, also above g.
     displacement : ndarray, shape (n+1, m) or (n+1, m, components)
     velocity : ndarray, shape (n, m) or (n, m, components)
-        Exactly 0.0 where a node sticks.
+        Exactly 0.0 where a node sticks, and where it is rounding beside the largest of the run.
     traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity.
     bound : ndarray, shape (n, m)
@@ -509,6 +509,11 @@ def signed_lengths(x: Array) -> Array:
     return x if x.ndim == 2 else np.linalg.norm(x, axis=2)
 
 
+REST = 1e-12
+"""Share of the largest slip rate of a run up to which a node sticks: a body that creeps to its
+equilibrium ends with the rounding of its forces, of which up to 2e-14 were seen."""
+
+
 def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     """Stick, slip and friction of a run; None for a scene without friction.
 
@@ -536,12 +541,15 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
+    velocity = contact.of(solution.velocity)
+    speed = np.abs(signed_lengths(velocity))
+    velocity[speed <= REST * speed.max()] = 0.0
     return Slip(
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
         displacement=contact.of(solution.u),
-        velocity=contact.of(solution.velocity),
+        velocity=velocity,
         traction=force / (contact.weight[:, None] if several else contact.weight),
         bound=bound / contact.weight,
         use=use,

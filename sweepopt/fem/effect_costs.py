@@ -13,14 +13,7 @@ import numpy as np
 from sweepopt.checks import at_path, count
 from sweepopt.errors import InputError, brought_by
 from sweepopt.fem.scene import Scene
-from sweepopt.fem.scene_file import (
-    changed,
-    effect_tables,
-    load_scene,
-    names_of,
-    read_scene,
-    remaining,
-)
+from sweepopt.fem.scene_file import changed, effect_tables, load_scene, names_of, read_scene
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -70,7 +63,7 @@ def compare_effects(
         data = changed(data, changes or {})
         whole = read_scene(data, folder=folder, without=without)
     costs = {"all effects": _cost(whole, steps)}
-    for label in remaining(list(effect_tables(data["effects"])), without):
+    for label in effect_tables(data["effects"], without):
         name = label.removeprefix("effects.")
         with suppress(InputError):  # the scene cannot be without it
             scene = read_scene(data, folder=folder, without=[*without, name])

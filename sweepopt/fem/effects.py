@@ -592,8 +592,11 @@ class PointForce(Record):
 class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
-    Breakpoints of the history should be ends of steps. Of the energies of a run only that lost by
-    friction is known, as what is held is no unknown; the others are nan.
+    It cannot be combined with a yield stress, one-way motion, plasticity or a Maxwell branch, which
+    would have to see it. Breakpoints of the history should be ends of steps. Of the energies of a
+    run only that lost by friction is known, as what is held is no unknown; the others are nan.
+    Pictures draw the force on the body along d, positive in its direction, <d, A u' + B u> / |d|
+    with |d| the largest length.
 
     Parameters
     ----------

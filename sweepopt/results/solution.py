@@ -79,6 +79,9 @@ class Field(NamedTuple):
 class _Absent(SimpleNamespace):
     """What a file says of a process and its plan."""
 
+    def __repr__(self) -> str:
+        return "not in the file: so.Solution.load(path, process) has it"
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
@@ -169,12 +172,12 @@ class Solution(Displayed):
     @cached_property
     def u(self) -> Array:
         """u_n at the times t, shape (k+1, dim)."""
-        return self.states.u(slice(None))
+        return checks.read_only(self.states.u(slice(None)))
 
     @cached_property
     def velocity(self) -> Array:
         """u_n' in the kept steps, shape (k, dim): (u_{i+1} - u_i) / mu of each."""
-        return self.states.velocity(slice(None))
+        return checks.read_only(self.states.velocity(slice(None)))
 
     @cached_property
     def stats(self) -> Array:
