@@ -129,16 +129,14 @@ def solve(
     path : {"auto", "proportional", "eliminated", "return mapping", "cones", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
-        and a Separable load) the others enter no step at all, and certificates are relative to no
-        less than a thousandth of what the load or B u alone would move (near an equilibrium, where
-        the two cancel, "eliminated" sees smaller velocities). With "return mapping" the unknowns
-        that C(t) acts on, plastic strains at many points, follow from the others by a formula; A
-        and B must be diagonal on them. With "cones" C(t) = f(t) + E^T S, S balls and E sparse,
-        differences of neighbours or rows of a gradient: connected balls at rest, a plug, have one
-        value. "auto" takes proportional, return mapping (where these unknowns are more than the
-        others, or very many), cones (intervals from 300 unknowns on), eliminated or full, the
-        first that applies. Where factors would not fit in memory, conjugate gradients
-        take their place on every path.
+        and a Separable load) the others enter no step at all, at some accuracy near an equilibrium
+        (MATH.md section 5). With "return mapping" the unknowns that C(t) acts on, plastic strains
+        at many points, follow from the others by a formula; A and B must be diagonal on them. With
+        "cones" C(t) = f(t) + E^T S, S balls and E sparse, differences of neighbours or rows of a
+        gradient: connected balls at rest, a plug, have one value. "auto" takes proportional, return
+        mapping (where these unknowns are more than the others, or very many), cones (intervals from
+        300 unknowns on), eliminated or full, the first that applies. Where factors would not fit in
+        memory, conjugate gradients take their place on every path.
     save : None, "last", int, array_like, callable, str or Path
         What is kept: all steps, the last one, every k-th, those that end at the given times of the
         grid, what a function of (t, u, z) returns for each step (in `Solution.recorded`), or all

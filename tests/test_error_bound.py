@@ -694,7 +694,7 @@ def test_an_infinite_bound_ends_the_search_for_a_grid(monkeypatch):
 
 @pytest.mark.parametrize("A, most", [(0.0, 2000), (1e-3, 1000)])
 def test_steps_are_short_only_where_u_changes_fast(A, most):
-    # of equal steps the first takes 12,800, as u' jumps
+    # of equal steps the first takes 8,000, as u' jumps
     pull = so.Separable([(so.Sine(3.0, period=np.pi), 1.0)])
     process = so.SweepingProcess(A, 2.0, so.Moving(so.Box(-1, 1), center=pull), 0.0)
     sol = so.solve(process, t_end=8.0, steps=8, error=1e-3)
