@@ -331,7 +331,7 @@ def _refine(
             raise AccuracyError(
                 f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
                 f"{len(sol.t) - 1} steps: {cause}",
-                sol,
+                solution=sol,
             )
         if sol.passes[1:]:
             tol *= min(0.5, max(0.1, 0.8 * error / bound))
@@ -365,8 +365,9 @@ def _adapt(
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
-        relative = float(sol.stats["relative"].max(initial=0.0))
-        raise StepError(cause, float(sol.t[-1]), len(sol.stats), sol.u[-1], relative)
+        worst = float(sol.stats["relative"].max(initial=0.0))
+        t, u, step = float(sol.t[-1]), sol.u[-1], len(sol.stats)
+        raise StepError(cause, t=t, step=step, u=u, certificate=worst)
     return replace(sol, status=Status.INEXACT, cause=cause)
 
 
@@ -456,15 +457,15 @@ def run_over(
             if sink is not None:
                 sink.close(_solution(process, run, sink, recorded) if succeeded else None)
     if not succeeded:
-        u = grid.plan.state(run.u)
-        raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
+        t, u = float(grid.times[run.done]), grid.plan.state(run.u)
+        raise StepError(run.cause, t=t, step=run.done, u=u, certificate=run.relative)
     solution = _solution(process, run, sink, recorded)
     if sink is not None and (failure := sink.storage.failure):
         raise SaveError(
             f"save: {saved.path} cannot be written ({failure.strerror}), the run "
             f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
             "Free the disk, name another file, or keep fewer steps in memory, save=k",
-            solution,
+            solution=solution,
         )
     return solution
 
