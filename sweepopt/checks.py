@@ -3,7 +3,7 @@
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from inspect import signature
@@ -303,16 +303,18 @@ def times(name: str, value: Any) -> Array:
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
 
 
-def increasing(name: str, value: Any) -> Array:
-    """Two times or more, in order."""
-    result = vector(name, value)
+def increasing(name: str, value: Any, remedy: str = "", rows: Sequence[int] = ()) -> Array:
+    """Two numbers or more in order; errors call them by their rows of a file if these are given."""
+    result = entries(name, value)
     if result.size < 2:
-        raise InputError(f"{name} must hold two times or more")
-    if (late := np.flatnonzero(np.diff(result) <= 0)).size:
+        raise InputError(f"{name} must have two entries or more")
+    late = np.flatnonzero(np.diff(result) < 1 / HUGE)
+    if late.size:
         k = int(late[0])
+        places = [f"row {row}" for row in rows] or [f"entry {i}" for i in range(result.size)]
         raise InputError(
-            f"{name} must increase strictly, but entry {k + 1} ({result[k + 1]:g}) follows "
-            f"entry {k} ({result[k]:g})"
+            f"{name} must increase strictly, but {places[k + 1]} ({result[k + 1]:g}) follows "
+            f"{places[k]} ({result[k]:g}){remedy}"
         )
     return result
 

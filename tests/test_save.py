@@ -443,3 +443,13 @@ def test_a_file_that_another_program_wrote_again_is_not_loaded(tmp_path):
         dataset.load().assign_attrs(note="mine").to_netcdf(again, engine="h5netcdf")
     with pytest.raises(so.CheckpointError, match=r"again.nc .* read by xarray.open_dataset"):
         so.Solution.load(again)
+
+
+@pytest.mark.parametrize("again", COPIES)
+def test_what_a_failed_step_knows_comes_out_of_another_process_too(again):
+    ends = so.StepError("missed", t=0.5, step=3, u=np.ones(2), certificate=1e-3)
+    extra = so.MissingExtraError("needs it")
+    assert str(again(extra)) == "needs it"
+    same = again(ends)
+    assert (str(same), same.t, same.step, same.certificate) == ("missed", 0.5, 3, 1e-3)
+    assert same.u.tolist() == [1.0, 1.0]

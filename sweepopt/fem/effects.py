@@ -627,7 +627,7 @@ class PrescribedDisplacement(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.history, History):
+        if not isinstance(self.history, History) or hasattr(self.history, "dim"):
             raise InputError(
                 f"history must be data whose rate is known, such as Table or Sine, got "
                 f"{shown(self.history)}"

@@ -306,25 +306,23 @@ def effect_tables(tables: Any, without: Sequence[str]) -> dict[str, tuple[type, 
         if isinstance(table, list):
             several = {f"effects.{name}[{k}]": one for k, one in enumerate(table)}
         named |= {label: (name, one) for label, one in several.items()}
-    kept = {label: named[label] for label in remaining(list(named), without)}
-    return {label: (_kind(name, table), table) for label, (name, table) in kept.items()}
-
-
-def _kind(name: str, table: Any) -> type:
-    """The class of an effect."""
-    if name not in EFFECTS:
-        own = "; an effect of your own must be in sweepopt.fem.EFFECTS first"
-        begin = next((one for one in EFFECTS if name.startswith(f"{one}_")), "")
-        more = f"; write [[effects.{begin}]] above each of several" if begin else ""
-        hint = MEANT.get(name) or more or suggestion(name, EFFECTS) or own
-        raise InputError(f"effects.{name}: unknown key; there are: {', '.join(EFFECTS)}{hint}")
-    kind = EFFECTS[name]
-    if not callable(kind) or (table and not signature(kind).parameters):
-        raise InputError(
-            f"effects.{name}: EFFECTS[{name!r}] must be a class whose fields are the keys, with "
-            f"@dataclass(frozen=True) above it, got {shown(kind)}"
-        )
-    return kind
+    kinds: dict[str, tuple[type, Any]] = {}
+    for label in remaining(list(named), without):
+        name, table = named[label]
+        if name not in EFFECTS:
+            own = "; an effect of your own must be in sweepopt.fem.EFFECTS first"
+            begin = next((one for one in EFFECTS if name.startswith(f"{one}_")), "")
+            more = f"; write [[effects.{begin}]] above each of several" if begin else ""
+            hint = MEANT.get(name) or more or suggestion(name, EFFECTS) or own
+            raise InputError(f"effects.{name}: unknown key; there are: {', '.join(EFFECTS)}{hint}")
+        kind = EFFECTS[name]
+        if not callable(kind) or (table and not signature(kind).parameters):
+            raise InputError(
+                f"effects.{name}: EFFECTS[{name!r}] must be a class whose fields are the keys, "
+                f"with @dataclass(frozen=True) above it, got {shown(kind)}"
+            )
+        kinds[label] = kind, table
+    return kinds
 
 
 def _history(table: Any, path: str, folder: Path) -> Any:

@@ -399,10 +399,9 @@ class Solution(Displayed):
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
-        It takes up to ten times as long as the run: other runs beside it, on grids that are refined
-        where bodies start and stop. A C(t) that is no data takes one such run. Steps that were not
-        kept are computed again. Where C(t) is bounded data it is never more than what the energy
-        allows u and u_n to be apart (MATH 4).
+        Computing it takes 6 times as long as the run (median; at most 12), as it makes other runs
+        with more steps where bodies start and stop; a single one where C(t) is not data. Steps that
+        were not kept are computed again. MATH.md section 4 says how close bounds are.
 
         Parameters
         ----------
