@@ -36,6 +36,7 @@ from sweepopt.fem import (
     read_scene,
 )
 from sweepopt.fem.contact import Rows, Yield, slip_of
+from sweepopt.fem.pictures import driven
 
 # loads that start at once
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -256,6 +257,29 @@ def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
         assert scene.contact.of(sol.velocity[0]).any() == moves
 
 
+@pytest.mark.parametrize(
+    "other, told",
+    [(Friction("body", 0.1), True), (Friction("left", 0.1), False), (OneWay("left", "x"), False)],
+    ids=["disc", "edge", "one-way"],
+)
+def test_a_traction_is_told_where_friction_alone_bounds_the_force_of_a_node(other, told):
+    plate, effects = sheet()
+    scene = body(plate, [*effects, other, BodyForce(so.Constant(), [3.0, 2.0])])
+    slip = slip_of(scene, scene.solve(t_end=0.1, steps=1, scheme="implicit-euler", tol=1e-9))
+    own = told | (slip.contact.points[:, 0] > 0)
+    np.testing.assert_array_equal(np.isnan(slip.traction[0]).any(axis=1), ~own)
+    np.testing.assert_array_equal(np.isnan(slip.use[0]), ~own)
+    assert slip.use[0, own] == pytest.approx(1.0, abs=1e-6)  # all of it slips
+
+
+def test_a_traction_beside_a_yield_stress_is_not_told():
+    effects = [Viscosity(1.0), Friction("right", 0.1), BodyForce(so.Constant()), YieldStress(0.3)]
+    scene = antiplane(square(3), clamped="left", effects=effects)
+    slip = slip_of(scene, scene.solve(t_end=0.2, steps=2, scheme="implicit-euler"))
+    assert slip.velocity.any()
+    assert np.isnan(slip.traction).all()
+
+
 def test_bounds_move_in_time_by_a_history_or_a_formula():
     plate, _ = sheet()
     ramp = so.Table([0.0, 1.0], [1.0, 0.5])
@@ -265,6 +289,9 @@ def test_bounds_move_in_time_by_a_history_or_a_formula():
         scene = body(plate, [*MATERIAL, Dashpot("body", 1.0), friction, push])
         velocities.append(scene.solve(t_end=1.0, steps=10, scheme="implicit-euler").velocity)
     np.testing.assert_allclose(*velocities, atol=1e-12)
+    half = Friction("body", "1 + x", history=so.Constant(0.5))
+    contact = body(plate, [*MATERIAL, Dashpot("body", 1.0), half]).contact
+    np.testing.assert_allclose(contact.bound, 0.5 + 0.5 * contact.points[:, 0])  # at t = 0
     end = plate.expand(velocities[0][[2, 9]])
     assert not end[0].any()
     np.testing.assert_allclose(end[1][:, 0], 0.4 - 0.25, atol=1e-9)
@@ -416,6 +443,47 @@ def test_a_prescribed_displacement_is_met_and_its_traction_relaxes():
     scene = body(plate, [Viscosity(1e-9, zeta=1e-9), Elasticity(E=3.0, nu=0.25), pull])
     end = scene.displacement(scene.solve(t_end=1.0, steps=4, scheme="implicit-euler"))[-1]
     np.testing.assert_allclose(end, [0.25, -0.0625] * plate.points, atol=1e-8)
+
+
+def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_they_meet():
+    ramp = so.Table([0.0, 1.0], [0.0, 1.0])
+    block = Discretisation(square(2), ["left", "bottom"])
+    moved = PrescribedDisplacement("left", ramp, d="1 + y")
+    scene = body(block, [*MATERIAL, moved, PrescribedDisplacement("left", ramp, d=2.0)])
+    end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
+    left = np.isclose(block.points[:, 0], 0.0)
+    np.testing.assert_allclose(end[left], 3.0 + block.points[left, 1], rtol=1e-14)
+    with pytest.raises(so.InputError, match=r"effects\[2\] and effects\[3\] meet at a node"):
+        body(block, [*MATERIAL, moved, PrescribedDisplacement("bottom", ramp)])
+    wedge = Discretisation(
+        square(2), (), kind="plane strain", held={"left": "x", "bottom": "y", "right": "x"}
+    )
+    pulls = [
+        PrescribedDisplacement("left", ramp, d=[0.1, 0.0]),
+        PrescribedDisplacement("bottom", ramp, d=[0.0, 0.2]),
+    ]
+    scene = body(wedge, [*MATERIAL, *pulls])
+    end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
+    np.testing.assert_allclose(end[np.argmin(wedge.points.sum(axis=1))], [0.1, 0.2], rtol=1e-14)
+
+
+@pytest.mark.parametrize("form", [0.5, "0.5 + 0*t"])
+def test_the_reaction_of_a_bar_that_is_warmed_and_pulled_is_that_of_its_end(form):
+    """E (d - strain) / (1 - nu) less its share of a force that the other end takes the rest of."""
+    moved = so.Table([0.0, 1.0], [0.0, 0.002])
+    sides = {"left": "x", "right": "x", "bottom": "y", "top": "y"}
+    bar = Discretisation(grid([1.0, 1.0], [2, 2]), (), kind="plane stress", held=sides)
+    effects = [
+        Dashpot("body", 1e-9),
+        Elasticity(E=3.0, nu=0.25),
+        Eigenstrain(so.Constant(), 1e-2, 3.0, 0.25),
+        BodyForce(so.Constant(), [form, 0.0]),
+        PrescribedDisplacement("right", moved, [1.0, 0.0]),
+    ]
+    scene = body(bar, effects)
+    _, reaction, _ = driven(scene, scene.solve(t_end=1.0, steps=2, scheme="implicit-euler"))
+    law = 3.0 * (0.002 / (1 - 0.25**2) - 1e-2 / (1 - 0.25)) - 0.25
+    assert reaction[-1] == pytest.approx(law, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -600,17 +668,6 @@ def test_a_boundary_with_the_name_of_a_subdomain_is_pulled_and_held_as_any_other
     assert np.array_equal(*(body(one, [MATERIAL[0], hold]).lifts[0][1] for one in ends))
     with pytest.raises(so.InputError, match="on: 'right' is a boundary and a subdomain"):
         body(ends[1], [MATERIAL[0], Friction("right", g=1.0)])
-
-
-def test_prescribed_displacements_of_two_boundaries_do_not_add_up_at_their_corner():
-    ends = Discretisation(grid([1.0, 1.0], [2, 2]), ["left", "bottom"])
-    ramp, wave = so.Table([0.0, 1.0], [0.0, 1.0]), so.Sine(1.0, period=2.0)
-    left, bottom = (PrescribedDisplacement(name, ramp) for name in ("left", "bottom"))
-    effects = [Viscosity(1.0), Elasticity(1.0), left]
-    with pytest.raises(so.InputError, match=r"effects\[2\] and effects\[3\] meet at a node"):
-        body(ends, [*effects, bottom])
-    scene = body(ends, [*effects, PrescribedDisplacement("left", wave)], t_end=1.0, steps=2)
-    assert np.isclose(scene.displacement(scene.solve(on_unstable="ignore"))[1].max(), 1.5)
 
 
 def test_a_force_on_a_point_that_is_clamped_is_refused():

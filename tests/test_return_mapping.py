@@ -141,6 +141,15 @@ def test_a_ring_a_thousand_times_as_stiff_is_solved_by_return_mapping_alone():
     assert run.stats["iterations"].max() <= 150
 
 
+def test_plasticity_is_in_all_of_the_body_whatever_is_called_so():
+    strip = grid([2.0, 1.0], [4, 2]).with_subdomains({"body": lambda x: x[0] < 1})
+    space = Discretisation(strip, kind="plane stress", held={"left": "x", "bottom": "y"})
+    effects = [Elasticity(E=10.0, nu=0.3), Plasticity(1.0, Hk=1.0)]
+    scene = body(space, [*effects, Traction("right", Table([0.0, 1.0], [0.0, 2.0]))])
+    strain = scene.plastic_strain(scene.solve(t_end=1.0, steps=2, scheme="implicit-euler"))[-1]
+    np.testing.assert_allclose(strain, (2.0 - 1.0) / 1.5, rtol=1e-6)  # E_t / (E - E_t) E = 3/2 Hk
+
+
 def test_yield_stresses_differ_by_subdomain_and_the_load_is_data():
     strip = grid([2.0, 1.0], [4, 2]).with_subdomains(
         {"soft": lambda x: x[0] < 1, "hard": lambda x: x[0] > 1}

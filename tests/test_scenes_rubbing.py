@@ -5,6 +5,7 @@ import pytest
 from cases import close_bound
 
 from sweepopt.fem import read_scene
+from sweepopt.fem.output import Report
 from sweepopt.io import find_scene, read_toml
 
 # The bar in a frictional bed
@@ -23,6 +24,7 @@ def test_the_bar_follows_the_parabola_of_its_slip_front_and_masings_rule():
     slipped = np.abs(scene.displacement(solution)[40]) > 0.0
     assert scene.discretisation.points[slipped, 0].max() == pytest.approx(F / g - 0.005)
     assert solution.stats["relative"].max() <= 1e-6
+    assert Report(scene, solution).units["traction"] == "N m-1"  # as g has it
 
 
 # The sheet on an orbiting table

@@ -316,11 +316,12 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     nodes, N = place.nodes.T, body.scalar.N
 
     def moving_bound(k: Indices, t: float) -> Array:
-        phi = 1.0 if law.history is None else float(law.history(t))
-        return np.asarray(_thresholds(law, place, N, t, phi)[k] / weight[k])
+        return np.asarray(_thresholds(law, place, N, t, law.history)[k] / weight[k])
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
-    threshold = _thresholds(law, place, N, body.start)
+    threshold, at_start = (
+        _thresholds(law, place, N, body.start, phi) for phi in (None, law.history)
+    )
     finite = bool(np.isfinite(threshold).all())
     by_formula = in_time(law.g) or in_time(law.p) or (law.history is not None and not finite)
     if law.slip is not None and (law.history is not None or by_formula or not finite):
@@ -345,7 +346,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         bound = threshold[k] / weight[k]
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
-        contact = Contact(some, k, body.points[k], names[at], arc[at], weight[k], threshold[k])
+        contact = Contact(some, k, body.points[k], names[at], arc[at], weight[k], at_start[k])
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
         metric = None
@@ -359,10 +360,12 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     return yields
 
 
-def _thresholds(law: Friction, place: Place, size: int, t: float, phi: float = 1.0) -> Array:
-    """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
+def _thresholds(law: Friction, place: Place, size: int, t: float, phi: Any) -> Array:
+    """Friction forces, times a history, at which the nodes slip, of all nodes, shape (size,)."""
     with np.errstate(invalid="ignore"):
-        forces = phi * prod(law.values_at(place, t)) * place.basis.dx
+        forces = (
+            (1.0 if phi is None else float(phi(t))) * prod(law.values_at(place, t)) * place.basis.dx
+        )
     forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 
@@ -454,12 +457,14 @@ class Slip:
     velocity : ndarray, shape (n, m) or (n, m, components)
         Exactly 0.0 where a node sticks, and where it is rounding beside the largest of the run.
     traction : ndarray, shape (n, m) or (n, m, components)
-        q_k, against the velocity.
+        q_k, against the velocity; nan where a part of A u' + B u - f is another bounded force
+        whose share is not known: of a yield stress, one-way motion, friction of other components.
     bound : ndarray, shape (n, m)
         g_k at these times and states, which a law of the slip or a bound that moves changes.
     use : ndarray, shape (n, m)
         Share of the bound that the traction takes, with its sign where it has one; of ellipses in
-        their own metric: 1 is on the ellipse.
+        their own metric: 1 is on the ellipse. It is nan where the traction is, and of several
+        frictions with other axes at a node it is meant for one alone, as their sum is no ellipse.
     """
 
     contact: Contact
@@ -544,13 +549,16 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     velocity = contact.of(solution.velocity)
     speed = np.abs(signed_lengths(velocity))
     velocity[speed <= REST * speed.max()] = 0.0
+    laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
+    mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
+    weight = np.where(mixed, np.nan, contact.weight)
     return Slip(
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
         displacement=contact.of(solution.u),
         velocity=velocity,
-        traction=force / (contact.weight[:, None] if several else contact.weight),
+        traction=force / (weight[:, None] if several else weight),
         bound=bound / contact.weight,
-        use=use,
+        use=np.where(mixed, np.nan, use),
     )

@@ -164,12 +164,12 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
     return np.asarray(2 * mu[..., None] * strain)
 
 
-def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
-    """A and B of all degrees of freedom, of the body with nothing held or turned."""
+def released(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any, list[Force]]:
+    """A, B and loads of all degrees of freedom, of the body with nothing held or turned."""
     free = space.with_unknowns(clamped=(), held={}, turned=())
     acting = [one for one in effects if not isinstance(one, PrescribedDisplacement)]
     parts = [one.contribute(free) for one in acting]
-    return total(parts, "A"), total(parts, "B")
+    return total(parts, "A"), total(parts, "B"), [load for part in parts for load in part.loads]
 
 
 class Record:
@@ -191,7 +191,7 @@ class Record:
 
     def __post_init__(self) -> None:
         given = {name: value for name, value in vars(self).items() if value is not None}
-        if "on" in vars(self):
+        if "on" in given or ("on" in vars(self) and not hasattr(type(self), "on")):
             object.__setattr__(self, "on", boundary_names("on", vars(self)["on"]))
         if "history" in given and not callable(given["history"]):
             raise InputError(

@@ -115,7 +115,9 @@ class Report:
         """Units of the scene's quantities."""
         if self.scene.units != "SI":
             return dict.fromkeys(SI, "1")
-        return SI | (OF_WHOLE_BODIES if self.body.mesh.dim() != 2 else {})
+        dimension = self.body.mesh.dim()
+        of_lines = {"traction": "N" if self.body.lumped else "N m-1"} if dimension == 1 else {}
+        return SI | (OF_WHOLE_BODIES if dimension != 2 else {}) | of_lines
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""

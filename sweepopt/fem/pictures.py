@@ -12,7 +12,7 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.fem import output, snapshots
 from sweepopt.fem.contact import Slip
-from sweepopt.fem.effects import released_matrices
+from sweepopt.fem.effects import released
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import (
     STATE_COLOURS,
@@ -225,8 +225,9 @@ def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, s
     """Displacement and load of what drives the scene at the times, with their names.
 
     Of a prescribed displacement phi d, the first, phi |d| with |d| its largest length, and the
-    force on the body <d, A u' + B u> / |d|; else the sum of the forces at free nodes along the
-    largest load, and the mean displacement along them.
+    force on the body <d, A u' + B u - f> / |d|, without friction at the nodes that are moved; else
+    the sum of the forces at free nodes along the largest load, and the mean displacement along
+    them.
     """
     body, t = scene.discretisation, solution.t
     if scene.lifts:
@@ -247,15 +248,18 @@ def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, s
 
 
 def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
-    """<d, A u' + B u> at the times, with u at all nodes."""
+    """<d, A u' + B u - f> at the times, with u and f at all nodes."""
     rate, u = scene.velocity(solution), scene.displacement(solution)
-    A, B = released_matrices(scene.discretisation, scene.effects)
+    A, B, loads = released(scene.discretisation, scene.effects)
     motions, nodes = ((A, np.concatenate([rate[:1], rate])), (B, u)), scene.discretisation.nodes
-    return sum(
+    resistance = sum(
         motion.reshape(len(motion), -1) @ (M @ d)[nodes.T].ravel()
         for M, motion in motions
         if M is not None
     )
+    return resistance - [
+        sum(phi(t) * (f(t) if callable(f) else f) @ d for phi, f in loads) for t in solution.t
+    ]
 
 
 def _place(slip: Slip) -> tuple[Array, str]:

@@ -36,7 +36,7 @@ from sweepopt.fem.effects import (
     deviators,
 )
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
-from sweepopt.fem.spaces import BODY, Discretisation, Place
+from sweepopt.fem.spaces import Discretisation, Place
 
 COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
 LEAST = 1e-7
@@ -63,8 +63,8 @@ class Plasticity(Record):
         tangent modulus E_t in tension has Hi = E E_t / (E - E_t).
     eta : as sigma_y
         Perzyna's viscosity of p (Pa s), >= 0.
-    on : str or sequence of str
-        Subdomains; "body" for all of it.
+    on : str or sequence of str, optional
+        Subdomains; all of the body by default.
 
     Raises
     ------
@@ -74,20 +74,20 @@ class Plasticity(Record):
 
     Examples
     --------
-    >>> Plasticity(sigma_y=250.0, Hk=470.0).on
-    ('body',)
+    >>> Plasticity(sigma_y=250.0, Hk=470.0, on="core").on
+    ('core',)
     """
 
     sigma_y: Datum
     Hk: Datum = 0.0
     Hi: Datum = 0.0
     eta: Datum = 0.0
-    on: Sequence[str] = (BODY,)
+    on: Sequence[str] | None = None
     data = COEFFICIENTS
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
-        place = body.place("on", self.on, strains=True)
+        place = body.place("on", self.on or (), strains=True)
         if not isinstance(place.basis, skfem.CellBasis):
             raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place))
@@ -140,7 +140,7 @@ class Plasticity(Record):
 
     def cells(self, body: Discretisation) -> Indices:
         """Where it acts."""
-        basis = body.place("on", self.on, strains=True).basis
+        basis = body.place("on", self.on or (), strains=True).basis
         return np.arange(body.mesh.nelements)[basis.tind].ravel()
 
     def _moduli(self, body: Discretisation, place: Place) -> list[Array]:
@@ -176,7 +176,7 @@ class Plasticity(Record):
 
     def _strains(self, body: Discretisation, internal: Array) -> tuple[Place, Array, Array]:
         """The points, p of each and, in plane stress, the part of e_zz."""
-        place = body.place("on", self.on, strains=True)
+        place = body.place("on", self.on or (), strains=True)
         shape = len(internal), *place.basis.dx.shape
         beside = place.basis.dx.size if body.kind == "plane stress" else 0
         _, _, Hi, _ = self.values_at(place)

@@ -40,7 +40,7 @@ from sweepopt.fem.effects import (
     Force,
     Kinematics,
     Stress,
-    released_matrices,
+    released,
     total,
 )
 from sweepopt.fem.fields import Array
@@ -699,7 +699,7 @@ def _forces_of_motion(
     lifts: Sequence[tuple[History, Array]],
 ) -> list[Force]:
     """-A_fd d' and -B_fd d, by the matrices of the body with nothing held."""
-    A, B = released_matrices(space, effects.values())
+    A, B, _ = released(space, effects.values())
     terms: list[Force] = []
     for history, d in lifts:
         phi: Any
