@@ -3,7 +3,7 @@
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from inspect import signature
@@ -284,10 +284,15 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
     return bounded(name, array, "finite numbers" if finite else "numbers", finite)
 
 
+def read_only(array: Array) -> Array:
+    """An array that nobody can change."""
+    array.setflags(write=False)
+    return array
+
+
 def entries(name: str, value: Any, finite: bool = True) -> Array:
     """A float vector with at least one entry, as no set has dim 0, that nobody can change."""
-    result = vector(name, value, finite=finite)
-    result.setflags(write=False)
+    result = read_only(vector(name, value, finite=finite))
     if not result.size:
         raise InputError(f"{name} must have at least one entry")
     return result
@@ -296,6 +301,22 @@ def entries(name: str, value: Any, finite: bool = True) -> Array:
 def times(name: str, value: Any) -> Array:
     """Finite times as floats, of any shape; () for one of them."""
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
+
+
+def increasing(name: str, value: Any, remedy: str = "", rows: Sequence[int] = ()) -> Array:
+    """Two numbers or more in order; errors call them by their rows of a file if these are given."""
+    result = entries(name, value)
+    if result.size < 2:
+        raise InputError(f"{name} must have two entries or more")
+    late = np.flatnonzero(np.diff(result) < 1 / HUGE)
+    if late.size:
+        k = int(late[0])
+        places = [f"row {row}" for row in rows] or [f"entry {i}" for i in range(result.size)]
+        raise InputError(
+            f"{name} must increase strictly, but {places[k + 1]} ({result[k + 1]:g}) follows "
+            f"{places[k]} ({result[k]:g}){remedy}"
+        )
+    return result
 
 
 def times_inside(value: Any, nodes: Array) -> Array:
@@ -317,10 +338,9 @@ def matrix(name: str, value: Any) -> Matrix:
     if sp.issparse(value):
         result = sp.csc_array(value, copy=True)
         result.sum_duplicates()  # in place, which others do later where it is not done
-        result.data = entry = floats(name, result.data, "a matrix of numbers")
+        result.data = read_only(floats(name, result.data, "a matrix of numbers"))
     else:
-        result = entry = floats(name, value, "a matrix of numbers")
-    entry.setflags(write=False)
+        result = read_only(floats(name, value, "a matrix of numbers"))
     if result.ndim != 2:
         raise InputError(
             f"{name} must have two axes, got shape {result.shape}; one row is [[1.0, 2.0]], a "

@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,13 +26,12 @@ from sweepopt.errors import (
     Status,
     SweepoptError,
     UnstableStepError,
-    brought_by,
     suggestion,
 )
 from sweepopt.integrate import SolveOptions, schemes
 from sweepopt.io import find_scene, find_study, folder_at, list_scenes, read_toml
 from sweepopt.problem import Norms
-from sweepopt.results import require_bound
+from sweepopt.results import netcdf_package, require_bound
 from sweepopt.velocity import PATHS, Plan, solvers
 
 if TYPE_CHECKING:
@@ -48,12 +46,6 @@ STUDY_PROBLEMS = Path(__file__).parent / "study" / "problems.toml"
 """Problems of studies that are no scenes."""
 
 TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"  # of a study
-
-EXTRAS = {
-    "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
-    "plot": ("matplotlib",),
-}
-"""Packages whose absence would only show when a long run is over, by the extra that brings them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -164,7 +156,6 @@ def _list(_: argparse.Namespace) -> int:
 
 def _effects(options: argparse.Namespace) -> int:
     path = _readable(find_scene(options.scene))
-    _require("fem")
     from sweepopt.fem import compare_effects
     from sweepopt.fem.scene_file import parse_changes
 
@@ -233,11 +224,12 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     path = _readable(find_scene(options.scene))
-    _require("fem", "plot")
     from sweepopt.fem import pictures, read_scene
     from sweepopt.fem.output import Report
     from sweepopt.fem.scene_file import parse_changes
+    from sweepopt.plot import new_figure
 
+    netcdf_package(), new_figure((1.0, 1.0))  # what is not installed is told before the run
     given = {name: getattr(options, name) for name in ("steps", "scheme", "solver", "tol", "path")}
     scene = read_scene(path, changes=parse_changes(options.set), without=options.without)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
@@ -307,6 +299,7 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
                 f"{100 * slip.ever:.0f} % of the contact slips at some time, "
                 f"{100 * slip.most:.0f} % at once, {report.moment(slip.time_of_most)}"
             )
+    spent = f"friction and yielding {energy.friction[-1]:.4g}{joule}"
     named = [name for name in files if not name.endswith(".vtu")]
     lines = {
         "status": solution.message,
@@ -314,11 +307,10 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
         f"{report.seconds:.3g} s of computing",
         "max displacement": f"{largest(report)['value']:.4g}{meter}",
         "slip": sliding,
-        "energy": ""
-        if report.scene.lifts  # those of what is held are not known
+        "energy": f"{spent}; the others are not known where a displacement is prescribed"
+        if report.scene.lifts
         else f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
-        f"+ viscous {energy.viscous[-1]:.4g} + friction and yielding {energy.friction[-1]:.4g} "
-        f"{-energy.balance[-1]:+.1e}{joule} (error of the scheme)",
+        f"+ viscous {energy.viscous[-1]:.4g} + {spent}; balance error {energy.balance[-1]:.1e}",
         "worst certificate": f"{solution.stats['relative'].max():.1e} (relative)",
         "written": f"{folder}: {', '.join(named)}",
     }
@@ -329,14 +321,6 @@ def _readable(path: Path) -> Path:
     """The path of a file that can be read: a wrong name is told before what is not installed."""
     read_toml(path)
     return path
-
-
-def _require(*extras: str) -> None:
-    """Refuse before the run, not after it."""
-    for extra in extras:
-        with brought_by(extra):
-            for package in EXTRAS[extra]:
-                import_module(package)
 
 
 def _say(message: str) -> None:

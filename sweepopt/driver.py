@@ -72,6 +72,7 @@ the one that took the smallest tolerance delivered its error at a share of 0.06.
     t0="; the run starts at t = 0, or at the first time of steps",
     t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
     t_eval="; give the times as save, they must be among those of steps",
+    max_step="; give steps, or steps=so.Adaptive(tol, first=max_step)",
     method="; give scheme",
     rtol="; give tol, of each step's certificate, or error, of the whole run",
     atol="; give tol, of each step's certificate, or error, of the whole run",
@@ -105,7 +106,7 @@ def solve(
         End of the interval [0, t_end]; may be left out when `steps` is an array.
     steps : int, array_like or Adaptive
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
-        or ``Adaptive(tol)``: steps that are chosen for an error of tol.
+        or ``Adaptive(tol)``: steps chosen for an error of tol at the ends of steps.
     scheme : str
         "auto": sdirk32, in parts where a step contains breakpoints of a load that is data, unless
         they are too many; with Adaptive sdirk2. By name, on the steps as they are: "catching-up",
@@ -128,16 +129,14 @@ def solve(
     path : {"auto", "proportional", "eliminated", "return mapping", "cones", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
-        and a Separable load) the others enter no step at all, and certificates are relative to no
-        less than a thousandth of what the load or B u alone would move (near an equilibrium, where
-        the two cancel, "eliminated" sees smaller velocities). With "return mapping" the unknowns
-        that C(t) acts on, plastic strains at many points, follow from the others by a formula; A
-        and B must be diagonal on them. With "cones" C(t) = f(t) + E^T S, S balls and E sparse,
-        differences of neighbours or rows of a gradient: connected balls at rest, a plug, have one
-        value. "auto" takes proportional, return mapping (where these unknowns are more than the
-        others, or very many), cones (intervals from 300 unknowns on), eliminated or full, the
-        first that applies. Where factors would not fit in memory, conjugate gradients
-        take their place on every path.
+        and a Separable load) the others enter no step at all, at some accuracy near an equilibrium
+        (MATH.md section 5). With "return mapping" the unknowns that C(t) acts on, plastic strains
+        at many points, follow from the others by a formula; A and B must be diagonal on them. With
+        "cones" C(t) = f(t) + E^T S, S balls and E sparse, differences of neighbours or rows of a
+        gradient: connected balls at rest, a plug, have one value. "auto" takes proportional, return
+        mapping (where these unknowns are more than the others, or very many), cones (intervals from
+        300 unknowns on), eliminated or full, the first that applies. Where factors would not fit in
+        memory, conjugate gradients take their place on every path.
     save : None, "last", int, array_like, callable, str or Path
         What is kept: all steps, the last one, every k-th, those that end at the given times of the
         grid, what a function of (t, u, z) returns for each step (in `Solution.recorded`), or all
@@ -332,7 +331,7 @@ def _refine(
             raise AccuracyError(
                 f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
                 f"{len(sol.t) - 1} steps: {cause}",
-                sol,
+                solution=sol,
             )
         if sol.passes[1:]:
             tol *= min(0.5, max(0.1, 0.8 * error / bound))
@@ -345,7 +344,8 @@ def _guaranteed_bound(solution: Solution) -> ErrorBound:
     bound = solution._bound  # without the warning
     if not bound.guaranteed:
         raise InputError(
-            f"error= needs a guaranteed bound, without variation=: {bound.reason}; or take "
+            "error= needs a guaranteed bound: "
+            f"{bound.reason.removesuffix(', or give variation=')}; or take "
             "sol.error_bound() of a run without error="
         )
     return bound
@@ -365,8 +365,9 @@ def _adapt(
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
-        relative = float(sol.stats["relative"].max(initial=0.0))
-        raise StepError(cause, float(sol.t[-1]), len(sol.stats), sol.u[-1], relative)
+        worst = float(sol.stats["relative"].max(initial=0.0))
+        t, u, step = float(sol.t[-1]), sol.u[-1], len(sol.stats)
+        raise StepError(cause, t=t, step=step, u=u, certificate=worst)
     return replace(sol, status=Status.INEXACT, cause=cause)
 
 
@@ -456,15 +457,15 @@ def run_over(
             if sink is not None:
                 sink.close(_solution(process, run, sink, recorded) if succeeded else None)
     if not succeeded:
-        u = grid.plan.state(run.u)
-        raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
+        t, u = float(grid.times[run.done]), grid.plan.state(run.u)
+        raise StepError(run.cause, t=t, step=run.done, u=u, certificate=run.relative)
     solution = _solution(process, run, sink, recorded)
     if sink is not None and (failure := sink.storage.failure):
         raise SaveError(
             f"save: {saved.path} cannot be written ({failure.strerror}), the run "
             f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
             "Free the disk, name another file, or keep fewer steps in memory, save=k",
-            solution,
+            solution=solution,
         )
     return solution
 

@@ -120,9 +120,6 @@ class SolverRefusedError(InputError):
 class MissingExtraError(SweepoptError, ImportError):
     """An optional package is not installed; the message names the extra that brings it."""
 
-    def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f'{package} is not installed; run: pip install "sweepopt[{extra}]"')
-
 
 @contextmanager
 def brought_by(extra: str) -> Iterator[None]:
@@ -139,7 +136,8 @@ def brought_by(extra: str) -> Iterator[None]:
         yield
     except ImportError as error:
         package = (error.name or "a package").partition(".")[0]
-        raise MissingExtraError(package, extra) from error
+        message = f'{package} is not installed; run: pip install "sweepopt[{extra}]"'
+        raise MissingExtraError(message) from error
 
 
 class UnstableStepError(SweepoptError):
@@ -154,15 +152,15 @@ class DamagedFileError(CheckpointError):
     """A file is not as it was written."""
 
 
-class _RunError(SweepoptError):
-    """A run that failed after some steps, which are in its `solution`."""
+class _Failure(SweepoptError):
+    """An error that has what is known beside its message."""
 
-    def __init__(self, message: str, solution: Solution) -> None:
+    def __init__(self, message: str, **known: Any) -> None:
         super().__init__(message)
-        self.solution = solution
+        vars(self).update(known)
 
 
-class SaveError(_RunError):
+class SaveError(_Failure):
     """The file that `save` names could not be written, and the run was stopped.
 
     Attributes
@@ -171,8 +169,10 @@ class SaveError(_RunError):
         The steps that are done; the last of them, which were not yet in the file, are kept.
     """
 
+    solution: Solution
 
-class StepError(SweepoptError):
+
+class StepError(_Failure):
     """A step missed its tolerance with every solver tried, whole and in parts.
 
     The message says why, as far as that can be told.
@@ -189,14 +189,13 @@ class StepError(SweepoptError):
         Best certificate reached, relative to max(\\|z\\|_M, \\|M^-1 q\\|_M).
     """
 
-    def __init__(
-        self, message: str, t: float, step: int, u: np.ndarray, certificate: float
-    ) -> None:
-        super().__init__(message)
-        self.t, self.step, self.u, self.certificate = t, step, u, certificate
+    t: float
+    step: int
+    u: np.ndarray
+    certificate: float
 
 
-class AccuracyError(_RunError):
+class AccuracyError(_Failure):
     """A run could not be refined to the error that was asked for.
 
     Attributes
@@ -205,8 +204,10 @@ class AccuracyError(_RunError):
         The finest run; `solution.error_bound()` is its bound.
     """
 
+    solution: Solution
 
-class VelocityError(SweepoptError):
+
+class VelocityError(_Failure):
     """A velocity that was asked for directly missed its tolerance with every solver tried.
 
     Attributes
@@ -217,9 +218,9 @@ class VelocityError(SweepoptError):
         Best certificate reached, relative to max(\\|z\\|_A, \\|A^-1 q\\|_A).
     """
 
-    def __init__(self, message: str, t: float, u: np.ndarray, certificate: float) -> None:
-        super().__init__(message)
-        self.t, self.u, self.certificate = t, u, certificate
+    t: float
+    u: np.ndarray
+    certificate: float
 
 
 class SweepoptWarning(UserWarning):

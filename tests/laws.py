@@ -471,6 +471,7 @@ ZOO = {
     "moving ball": Entry(moving(ball)),
     "moving polytope": Entry(moving(polytope)),
     "box + ball": Entry(summed(box, ball), edge_tol=EDGE),
+    "polytope + box + v + polytope": Entry(summed(translated(summed(polytope, box)), polytope)),
     "ball + ellipsoid": Entry(summed(ball, ellipsoid), edge_tol=EDGE),
     "polytope + ball": Entry(summed(polytope, ball), edge_tol=EDGE),
     "box + polar cone": Unbounded(summed(box, polar_of(orthant))),

@@ -42,7 +42,7 @@ from sweepopt.fem.pictures import driven
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
 KINDS = {"plane strain": [2.0, 1.0], "plane stress": [2.0, 1.0], "solid": [2.0, 1.0, 1.5]}
-MATERIAL = Viscosity(1.0), Elasticity(E=3.0, nu=0.3)
+MATERIAL = Viscosity(1.0, zeta=1.5), Elasticity(E=3.0, nu=0.3)  # zeta / eta = 2 nu / (1 - 2 nu)
 
 
 def space(kind, cells=2, element="P1", **more):
@@ -66,7 +66,7 @@ def test_a_uniform_traction_strains_a_block_as_hookes_law_says(kind, element):
 
 
 @pytest.mark.parametrize(
-    "more", [[], [MaxwellBranch(0.5, E=2.0, nu=0.1)], [{"Hk": 1.0}], [{"Hi": 1.0}]]
+    "more", [[], [MaxwellBranch(0.5, E=2.0, nu=0.3)], [{"Hk": 1.0}], [{"Hi": 1.0}]]
 )
 @pytest.mark.parametrize(
     "kind, element", [("plane stress", "P1"), ("plane stress", "P2"), ("solid", "P1")]
@@ -76,7 +76,8 @@ def test_the_stress_of_a_block_is_the_traction_on_its_end_whatever_it_is_made_of
 ):
     plastic = [fem.Plasticity(0.5, **one) for one in more if isinstance(one, dict)]
     pull = Traction("right", so.Sine(1.0, period=4.0), f2=2.0)
-    effects = [Viscosity(1.0, zeta=0.4), MATERIAL[1], *(plastic or more), pull]
+    viscous = [] if plastic and kind == "plane stress" else MATERIAL[:1]
+    effects = [*viscous, MATERIAL[1], *(plastic or more), pull]
     scene = body(space(kind, element=element), effects, t_end=3.0, steps=6, scheme="implicit-euler")
     solution = scene.solve(tol=1e-10)
     traction = 2 * abs(np.sin(np.pi / 2 * solution.t[1:]))
@@ -84,6 +85,28 @@ def test_the_stress_of_a_block_is_the_traction_on_its_end_whatever_it_is_made_of
     np.testing.assert_allclose(stress, np.broadcast_to(traction[:, None], stress.shape), atol=1e-8)
     np.testing.assert_array_equal(scene.stress(solution, [1.5, 3.0]), stress[[2, 5]])
     assert not plastic or scene.plastic_strain(solution)[-1].min() > 0.01
+
+
+def test_a_sheet_creeps_as_a_solid_with_free_faces_and_laws_that_would_not_are_refused():
+    pull = Traction("right", so.Constant(), f2=1.0)
+    branch = MaxwellBranch(0.5, E=2.0, nu=0.3)
+    ends = []
+    for kind in ("plane stress", "solid"):
+        scene = body(space(kind), [*MATERIAL, branch, pull])
+        sol = scene.solve(t_end=1.0, steps=20, tol=1e-10)
+        at = np.argmin(np.linalg.norm(scene.discretisation.points[:, :2] - [2.0, 1.0], axis=1))
+        ends.append(scene.displacement(sol)[:, at, :2])
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+    others = {
+        r"\[0\]\.zeta: .* Elasticity has another": [Viscosity(1.0), MATERIAL[1]],
+        r"\[0\]\.nu: .* Elasticity has another": [MATERIAL[1], Elasticity(E=1.0, nu=0.2)],
+        r"\[0\]\.nu: .* MaxwellBranch has": [MATERIAL[1], MaxwellBranch(0.5, E=2.0, nu=0.1)],
+        r"\[2\]\.on: .* viscosity": [*MATERIAL, fem.Plasticity(0.5, Hk=1.0)],
+    }
+    for message, effects in others.items():
+        with pytest.raises(so.InputError, match=message):
+            body(space("plane stress"), [*effects, pull])
+        body(space("solid"), [*effects, pull])
 
 
 def test_shear_stress_is_that_of_the_traction_and_none_where_strains_do_not_tell_it():
@@ -187,6 +210,30 @@ def test_elliptic_friction_meets_its_law_at_every_node():
     np.testing.assert_allclose(force, contact.threshold[:, None] * law, atol=1e-7)
     # what pictures show is the distance in the ellipse's own metric
     np.testing.assert_allclose(slip_of(scene, sol).use, 1.0, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_what_creeps_to_its_equilibrium_sticks_there_but_for_rounding():
+    """A bracket is pulled until t = 1 and held: its slip rate decays, by exp(-t / 5e-4)."""
+    space = Discretisation(
+        fem.grid([2.0, 1.0], [12, 6]), ("left", "right"), kind="plane strain", held={"bottom": "y"}
+    )
+    pull = PrescribedDisplacement("right", so.Table([0, 1, 3], [0, 1, 1]), d=[1.0, 0.0])
+    effects = [Elasticity(E=2.0, nu=0.3), Viscosity(eta=1e-3), Friction("bottom", g=0.3), pull]
+    scene = body(space, effects, t_end=3.0, steps=60)
+    sol = scene.solve()
+    slip, rates = slip_of(scene, sol), scene.contact.of(sol.velocity)
+    late, rounding = slip.t[1:] > 2.0, np.abs(rates) <= 1e-12 * np.abs(rates).max()
+    assert rates[late].any()
+    assert rounding[late].all()
+    assert not slip.state[late].any()
+    assert np.array_equal(slip.velocity, np.where(rounding, 0.0, rates))
+    # each node begins and ends to slip
+    assert (
+        slip.statistics().switches
+        <= 2 * len(scene.contact)
+        < np.count_nonzero(np.diff(np.sign(rates), axis=0))
+    )
 
 
 def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
@@ -393,7 +440,7 @@ def test_a_prescribed_displacement_is_met_and_its_traction_relaxes():
         held={"right": "x", "left": "x", "bottom": "y"},
     )
     pull = PrescribedDisplacement("right", ramp, d=[2.0, 0.0])
-    scene = body(plate, [Viscosity(1e-9), Elasticity(E=3.0, nu=0.25), pull])
+    scene = body(plate, [Viscosity(1e-9, zeta=1e-9), Elasticity(E=3.0, nu=0.25), pull])
     end = scene.displacement(scene.solve(t_end=1.0, steps=4, scheme="implicit-euler"))[-1]
     np.testing.assert_allclose(end, [0.25, -0.0625] * plate.points, atol=1e-8)
 
@@ -406,6 +453,12 @@ def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_
     end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
     left = np.isclose(block.points[:, 0], 0.0)
     np.testing.assert_allclose(end[left], 3.0 + block.points[left, 1], rtol=1e-14)
+    sheet = Discretisation(square(2), "left", kind="plane strain")
+    pulls = [PrescribedDisplacement("left", ramp, d) for d in (["-y", "x"], [1.0, 2.0])]
+    scene = body(sheet, [*MATERIAL, *pulls])  # a turn and a translation
+    end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
+    turned = [1.0, 2.0] + sheet.points @ [[0.0, 1.0], [-1.0, 0.0]]
+    np.testing.assert_allclose(end, turned, atol=1e-13)
     both = Discretisation(square(2), ["left", "bottom"])
     with pytest.raises(so.InputError, match=r"effects\[2\].on: left shares nodes with bottom"):
         body(both, [*MATERIAL, moved, PrescribedDisplacement("bottom", ramp)])
@@ -584,14 +637,17 @@ def test_friction_that_would_not_see_a_displacement_along_it_is_refused():
     moved = fem.PrescribedDisplacement("front", so.Table([0, 1], [0, 1]), d=[0.0, 1.0, 0.0])
     effects = [fem.Elasticity(E=1.0, nu=0.2), fem.Viscosity(1.0), fem.Friction("front", g=0.1)]
     fem.body(space, effects)
-    with pytest.raises(so.InputError, match="whose slip would lack it"):
+    with pytest.raises(
+        so.InputError,
+        match=r"effects\[3\] moves a tangent of a boundary of effects\[2\], whose slip",
+    ):
         fem.body(space, [*effects, moved])
 
 
 def test_a_branch_on_a_body_that_a_foundation_alone_holds_is_refused_by_its_name():
     sheet = {"mesh": {"sizes": [2.0, 1.0], "cells": [4, 2]}, "clamped": [], "kind": "plane stress"}
     effects = {
-        "viscosity": {"eta": 1.0},
+        "viscosity": {"eta": 1.0, "zeta": 1.5},
         "foundation": {"on": "body", "k": 2.0},
         "maxwell": [{"tau": 1.0, "E": 1.0, "nu": 0.3}],
     }
@@ -638,3 +694,9 @@ def test_a_boundary_with_the_name_of_a_subdomain_is_pulled_and_held_as_any_other
     assert np.array_equal(*(body(one, [MATERIAL[0], hold]).lifts[0][1] for one in ends))
     with pytest.raises(so.InputError, match="on: 'right' is a boundary and a subdomain"):
         body(ends[1], [MATERIAL[0], Friction("right", g=1.0)])
+
+
+def test_a_force_on_a_point_that_is_clamped_is_refused():
+    clamped = Discretisation(grid([1.0, 1.0], [2, 2]), "left")
+    with pytest.raises(so.InputError, match=r"at: the point \[0.0, 0.5\] is clamped or held"):
+        body(clamped, [Viscosity(1.0), PointForce([0.0, 0.5], so.Constant())])

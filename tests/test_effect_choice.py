@@ -70,6 +70,11 @@ def test_an_effect_is_left_out_by_its_kind_or_by_its_name():
     assert len(both.effects) == len(one.effects) + 1 == len(none.effects) + 2
     with pytest.raises(InputError, match=r"no effect 'body_force'; there are: visc.*traction\[1\]"):
         read_scene(SOLID, without=["body_force"])
+    # also one of a user's own that is not there
+    changes = {"effects.rail": {"c": 1.0}}
+    assert len(read_scene("square", changes=changes, without=["rail"]).effects) == 4
+    with pytest.raises(InputError, match=r"effects\.rail: unknown key; .* of your own"):
+        read_scene("square", changes=changes, without=["traction"])
 
 
 @pytest.fixture(autouse=True)

@@ -46,15 +46,6 @@ def test_tiny_steps_on_a_large_state_lose_no_motion():
     assert float(sol.u[-1, 0]) - 1e7 == pytest.approx(1e-6, rel=2e-3)
 
 
-def test_the_callback_stops_the_run_and_keeps_what_was_computed():
-    sol = so.solve(slider(), t_end=5.0, steps=40, callback=lambda step: step.step == 6)
-    assert sol.status is so.Status.STOPPED
-    assert not sol.success
-    assert sol.u.shape == (8, 1)
-    assert sol.stats.shape == (7,)
-    assert sol(sol.t[-1]) == pytest.approx(sol.u[-1])
-
-
 class Lying(so.Clarabel):
     """A solver that says "solved" with a wrong answer."""
 

@@ -350,6 +350,13 @@ def test_a_cone_of_ones_own_may_have_no_offsets_and_features_may_be_tuples():
     assert lawless(lambda p, y: Features((y,), (cp.norm(p) <= y[0],))).success
 
 
+def test_states_that_a_bound_is_proved_of_cannot_be_changed():
+    sol = run()
+    for states in (sol.u, sol.velocity):
+        with pytest.raises(ValueError, match="read-only"):
+            states[:] += 1.0
+
+
 def test_a_run_without_an_exact_trajectory_says_which_scheme_has_one():
     sol = run()
     with pytest.raises(AttributeError, match=r'only a run with scheme="exact" .* sol\(t\)'):

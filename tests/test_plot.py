@@ -22,6 +22,7 @@ from sweepopt.fem import (
     Discretisation,
     Elasticity,
     Friction,
+    PrescribedDisplacement,
     Traction,
     Viscosity,
     antiplane,
@@ -419,6 +420,28 @@ def test_profiles_name_the_bound_of_friction(run):
     assert len(words) == len(traction.lines) - 1
     drawn = np.stack([line.get_ydata() for line in bounds])
     np.testing.assert_allclose(drawn, [[0.006], [-0.006]] * np.ones_like(drawn))
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_what_slips_is_shown_alone_with_a_word_of_the_rest_and_what_drives_it_is_named():
+    """Half of the boundary is pulled: the rest of it never slips."""
+    pull = PrescribedDisplacement("right", so.Table([0.0, 1.0], [0.0, 0.6]))
+    effects = [Elasticity(1.0), Viscosity(0.01), Friction("bottom", g=0.5), pull]
+    scene = antiplane(square(8), clamped=["right", "left"], effects=effects, t_end=1.0, steps=10)
+    run = report_of(scene)
+    panel, (_, below) = draw(run, "space_time").axes[0], draw(run, "profiles").axes
+    slips = run.slip.contact.arc[run.slip.total > 0]
+    for low, high, name in (
+        (*panel.get_ylim(), panel.get_ylabel()),
+        (*below.dataLim.intervalx, below.get_xlabel()),
+    ):
+        assert 0 < low <= slips.min() <= slips.max() <= high
+        assert name == "arc length along bottom\n(what is left out never slips)"
+    (panel,) = draw(run, "loop").axes
+    assert panel.get_ylabel() == "force on the body along\nthe prescribed motion"
+    assert panel.lines[0].get_ydata()[-1] > 0
+    whole = draw(report_of(half_ring()), "space_time").axes[0]
+    assert whole.get_ylabel() == "arc length along outer"
 
 
 def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):

@@ -2,12 +2,11 @@
 
 import warnings
 from functools import cache
-from itertools import product
 
 import numpy as np
 import pytest
 from cases import slope, slow
-from reference_cases import GRIDS, SETS, case, embedded
+from reference_cases import GRIDS, SETS, case
 
 import sweepopt as so
 
@@ -56,35 +55,6 @@ def test_errors_and_order_are_those_of_the_theory(name, scheme, grids):
         assert order >= 1.7
     else:
         assert order == pytest.approx(1.0, abs=0.1)
-
-
-OF_BODIES = [
-    *product([name for name in SETS if name != "L13"], ["proportional", "eliminated", "full"])
-]
-
-
-@pytest.mark.parametrize("name, path", [*OF_BODIES[::4], *(slow(*each) for each in OF_BODIES)])
-def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_path(name, path):
-    this = case(name)
-    body = embedded(this)
-    A, B = this.process.A, this.process.B
-    proportional = A.any() and (B is None or np.allclose(B, A * B[0, 0] / A[0, 0]))
-    if path == "proportional" and not (proportional and isinstance(body.C, so.Moving)):
-        with pytest.raises(so.InputError, match="path='proportional' does not apply"):
-            so.solve(body, t_end=this.t_end, steps=3, path=path)
-        return
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", so.InitialStateWarning)
-        scheme = "implicit-euler" if this.process.rate_independent else "midpoint"
-        sol = so.solve(body, t_end=this.t_end, steps=101, path=path, scheme=scheme)
-    assert sol.plan.path == path
-    assert sol.stats["relative"].max() <= 1e-6
-    alone = run(this, 101, scheme)
-    size = max(map(this.process.metric.norm, alone.u))
-    contact = sol.u[:, -this.process.dim :]
-    assert max(map(this.process.metric.norm, contact - alone.u)) <= 1e-6 * size
-    error = max(map(this.process.metric.norm, contact - this.exact(101)))
-    assert error == pytest.approx(this.errors[sol.plan.scheme.name]["101"], rel=0.03)
 
 
 @pytest.mark.parametrize(

@@ -123,6 +123,8 @@ def test_a_solution_is_loaded_as_it_was_saved(save, tmp_path):
         assert np.array_equal(same.viability(), sol.viability())
     with pytest.raises(so.InputError, match=r"loaded without its process.*load\(path, process\)"):
         so.Solution.load(files[0]).viability()
+    absent = so.Solution.load(files[0])
+    assert repr(absent.plan) == "not in the file: so.Solution.load(path, process) has it"
     with pytest.raises(so.InputError, match=r"process has dim 1, but .* has dim 40"):
         so.Solution.load(files[0], slider())
     parts = {"A": 2.0 * sol.process.A, "B": sol.process.B, "C": sol.process.C + np.full(40, 1e-3)}
@@ -441,3 +443,13 @@ def test_a_file_that_another_program_wrote_again_is_not_loaded(tmp_path):
         dataset.load().assign_attrs(note="mine").to_netcdf(again, engine="h5netcdf")
     with pytest.raises(so.CheckpointError, match=r"again.nc .* read by xarray.open_dataset"):
         so.Solution.load(again)
+
+
+@pytest.mark.parametrize("again", COPIES)
+def test_what_a_failed_step_knows_comes_out_of_another_process_too(again):
+    ends = so.StepError("missed", t=0.5, step=3, u=np.ones(2), certificate=1e-3)
+    extra = so.MissingExtraError("needs it")
+    assert str(again(extra)) == "needs it"
+    same = again(ends)
+    assert (str(same), same.t, same.step, same.certificate) == ("missed", 0.5, 3, 1e-3)
+    assert same.u.tolist() == [1.0, 1.0]

@@ -104,7 +104,7 @@ def test_units_of_forces_and_lengths_change_no_number(name):
         load = so.Separable([(so.Sine(1.0, 5.0), force * shape)])
         matrices = (force / length * M for M in (route.A, route.B))
         process = so.SweepingProcess(*matrices, route.C(load, force), np.zeros(N))
-        sol = so.solve(process, **{"t_end": 4.0, "steps": 8, **route.settings})
+        sol = so.solve(process, **{"t_end": 2.0, "steps": 4, **route.settings})
         return np.concatenate([sol.u, sol.velocity]) / length
 
     plain = motion(1.0, 1.0)
@@ -130,7 +130,7 @@ def test_as_viscosity_falls_the_error_falls_with_it_and_no_step_fails(name):
         process = so.SweepingProcess(nu * route.A, route.B, route.C(load), np.zeros(N))
         return so.solve(
             process,
-            **{"t_end": 4.0, "steps": 20, "scheme": "implicit-euler", "tol": 1e-10, **settings},
+            **{"t_end": 2.0, "steps": 10, "scheme": "implicit-euler", "tol": 1e-10, **settings},
         )
 
     limit = run(0.0, {}).u  # A = 0: no route but those for all unknowns, or the contact

@@ -84,7 +84,7 @@ def test_a_cone_is_a_constraint_and_data_that_come_twice_are_numbered():
     assert str(so.step_program(free, 1.0, U0, 0.5)).endswith("subject to z == 0.0")
     K = so.image(np.array([[1.0, 0.3], [0.2, 1.0], [1.0, 1.0]]), so.Orthant(2)).polar()
     process = so.EvolutionVI(A, B, load=load, cone=K, u0=U0)
-    assert str(so.step_program(process, 1.0, U0, 0.5)).endswith("subject to G @ z <= 0.0")
+    assert str(so.step_program(process, 1.0, U0, 0.5)).endswith("subject to E.T @ z <= 0.0")
     rows = so.Polyhedron(np.vstack([np.eye(n), -np.eye(n)]), np.ones(2 * n))
     twice = program_of(rows + so.Polyhedron(2 * np.eye(n), np.ones(n)))
     assert set(twice.problem.var_dict) == {"z", "y", "y_2"}

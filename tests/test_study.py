@@ -29,6 +29,7 @@ from sweepopt.study import (
     dask_executor,
     find_source,
     halving,
+    own_source,
     processes,
     read_study,
     read_table,
@@ -141,6 +142,20 @@ def test_errors_are_those_against_exact_solutions_or_fine_runs(tmp_path):
     assert rows.reference_error[0] == 0.0 < 20 * rows.reference_error[1] <= rows.error[1]
 
 
+def test_a_process_of_ones_own_is_a_problem_like_those_of_the_library(tmp_path):
+    known = problem("S03")
+    mine = own_source("mine", known.process(), known.t_end)
+    table = run(replace(SMALL, problems=(mine, "S03")), tmp_path)
+    of_mine, of_theirs = (table[table.problem == name] for name in ("mine", "S03"))
+    for column in ("status", "error", "bound", "certificate", "steps_done", "path"):
+        np.testing.assert_array_equal(of_mine[column], of_theirs[column])
+    other = own_source("mine", known.process(), 0.5 * known.t_end)
+    assert run(replace(SMALL, problems=(mine,)), tmp_path).run.isin(table.run).all()
+    assert not run(replace(SMALL, problems=(other,)), tmp_path).run.isin(table.run).any()
+    with pytest.raises(so.InputError, match="executor: processes of one's own"):
+        run(replace(SMALL, problems=(mine,)), tmp_path, executor=processes(1))
+
+
 def test_an_error_that_the_reference_cannot_tell_is_no_number(
     monkeypatch,
 ):
@@ -209,6 +224,8 @@ def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(tmp_
 
     finest = study.reference(study.runs()[0].problem)
     assert (finest.refinements, finest.element) == (2, "P2")
+    own = replace(study, elements=("", "P1"))  # "" may be P2
+    assert own.reference(own.runs()[0].problem).element == "P2"
     (row,) = run(one, tmp_path / "one").itertuples()
     # on one mesh the error is that in time, which its guaranteed bound holds for
     assert row.error < 0.1 * of_p1[-1]

@@ -10,11 +10,11 @@ VALUES = np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 0.5], [3.0, 1.0, -1.0], [-1.0, 0
 HATS = so.Separable([(so.Table(TIMES, v), e) for v, e in zip(VALUES.T, np.eye(3), strict=True)])
 
 
-def run(load, viscosity):
+def run(load, viscosity, scheme="sdirk2"):
     B = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]])
     C = so.Moving(so.Box(-0.3 * np.ones(3), 0.4 * np.ones(3)), load)
     process = so.SweepingProcess(viscosity * np.diag([1.0, 2, 1]), B, C, np.zeros(3))
-    return so.solve(process, t_end=2.0, steps=60, scheme="sdirk2", tol=1e-10)
+    return so.solve(process, t_end=2.0, steps=60, scheme=scheme, tol=1e-10)
 
 
 @pytest.mark.parametrize("viscosity", [0.5, 0.0])
@@ -35,3 +35,23 @@ def test_values_between():
     f = so.VectorTable(TIMES, VALUES)
     assert f([0.1, 1.5]) == pytest.approx(HATS.at_many(np.array([0.1, 1.5])))
     assert f.breakpoints(0.3, 2.0).tolist() == [1.1]
+
+
+@pytest.mark.parametrize("viscosity", [0.5, 0.0])
+def test_exact_takes_it_as_the_sum_of_tables(viscosity):
+    exact, same = (run(f, viscosity, scheme="exact") for f in (so.VectorTable(TIMES, VALUES), HATS))
+    assert exact.exact.switches.size > 3
+    assert exact.u == pytest.approx(same.u, abs=1e-14)
+
+
+def test_exact_takes_offsets_of_rows_given_so():
+    rows, offsets = np.vstack([np.eye(3), -np.eye(3)]), np.hstack([VALUES + 0.4, 0.3 - VALUES])
+    C = so.Polyhedron(rows, so.VectorTable(TIMES, offsets))
+    sol = so.solve(
+        so.SweepingProcess(0.0, np.eye(3), C=C, u0=np.zeros(3)), t_end=2.0, scheme="exact"
+    )
+    C = so.Moving(so.Box(-0.3 * np.ones(3), 0.4 * np.ones(3)), HATS)
+    same = so.solve(
+        so.SweepingProcess(0.0, np.eye(3), C=C, u0=np.zeros(3)), t_end=2.0, scheme="exact"
+    )
+    assert sol.u == pytest.approx(same.u, abs=1e-14)

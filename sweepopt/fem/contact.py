@@ -273,7 +273,8 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
         return np.concatenate([getattr(one, name) for one in contacts])
 
     keep, owner = _owners(contacts)
-    weight, threshold = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
+    sums = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
+    weight, threshold = (one.astype(float) for one in sums)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
@@ -454,7 +455,7 @@ class Slip:
         that of the mean velocity in the middle: off by the error of the step, also above g.
     displacement : ndarray, shape (n+1, m) or (n+1, m, components)
     velocity : ndarray, shape (n, m) or (n, m, components)
-        Exactly 0.0 where a node sticks.
+        Exactly 0.0 where a node sticks, and where it is rounding beside the largest of the run.
     traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity; nan where a part of A u' + B u - f is another bounded force
         whose share is not known: of a yield stress, one-way motion, friction of other components.
@@ -513,6 +514,11 @@ def signed_lengths(x: Array) -> Array:
     return x if x.ndim == 2 else np.linalg.norm(x, axis=2)
 
 
+REST = 1e-12
+"""Share of the largest slip rate of a run up to which a node sticks: a body that creeps to its
+equilibrium ends with the rounding of its forces, of which up to 2e-14 were seen."""
+
+
 def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     """Stick, slip and friction of a run; None for a scene without friction.
 
@@ -540,6 +546,9 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
+    velocity = contact.of(solution.velocity)
+    speed = np.abs(signed_lengths(velocity))
+    velocity[speed <= REST * speed.max()] = 0.0
     laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
     mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
     weight = np.where(mixed, np.nan, contact.weight)
@@ -548,7 +557,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         t=solution.t,
         stage_t=stage_t,
         displacement=contact.of(solution.u),
-        velocity=contact.of(solution.velocity),
+        velocity=velocity,
         traction=force / (weight[:, None] if several else weight),
         bound=bound / contact.weight,
         use=np.where(mixed, np.nan, use),

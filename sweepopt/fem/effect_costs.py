@@ -11,16 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.checks import at_path, count
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, brought_by
 from sweepopt.fem.scene import Scene
-from sweepopt.fem.scene_file import (
-    changed,
-    effect_tables,
-    load_scene,
-    names_of,
-    read_scene,
-    remaining,
-)
+from sweepopt.fem.scene_file import changed, effect_tables, load_scene, names_of, read_scene
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -62,15 +55,15 @@ def compare_effects(
     >>> table.path["all effects"], table.path["without friction"]
     ('proportional', 'linear')
     """
-    import pandas as pd
-
+    with brought_by("fem"):  # with xarray
+        import pandas as pd
     steps, without = count("steps", steps), names_of(without)
     data, folder, where = load_scene(source)
     with at_path(where):
         data = changed(data, changes or {})
         whole = read_scene(data, folder=folder, without=without)
     costs = {"all effects": _cost(whole, steps)}
-    for label in remaining(list(effect_tables(data["effects"])), without):
+    for label in effect_tables(data["effects"], without):
         name = label.removeprefix("effects.")
         with suppress(InputError):  # the scene cannot be without it
             scene = read_scene(data, folder=folder, without=[*without, name])

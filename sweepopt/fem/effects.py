@@ -167,13 +167,9 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
 
 def released(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any, list[Force]]:
     """A, B and loads of all degrees of freedom, of the body with nothing held or turned."""
-    own = [(one, one.contribute(space)) for one in effects]
     free = space.with_unknowns(clamped=(), held={}, turned=())
-    parts = [
-        one.contribute(free)
-        for one, part in own
-        if part.A is not None or part.B is not None or part.loads
-    ]
+    acting = [one for one in effects if not isinstance(one, PrescribedDisplacement)]
+    parts = [one.contribute(free) for one in acting]
     return total(parts, "A"), total(parts, "B"), [load for part in parts for load in part.loads]
 
 
@@ -238,8 +234,9 @@ class Viscosity(Record):
 
     Notes
     -----
-    In plane stress each of the tensors of viscosity and elasticity is condensed on its own, which
-    is exact where they are proportional.
+    In plane stress each law is condensed on its own, which is exact where all are proportional:
+    zeta = 2 nu eta / (1 - 2 nu) beside an elasticity; others are refused, but for tensors, which
+    are those of the plane.
 
     Examples
     --------
@@ -259,14 +256,14 @@ class Viscosity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=_stiffness(body, self._viscosities, self.tensor))
+        return Contribution(A=_stiffness(body, self))
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 eta dev e(u')."""
-        law = self._viscosities
+        law = self.moduli
         return None if self.eta is None else lambda motion: shear_stress(body, law, motion.rate)
 
-    def _viscosities(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """zeta and eta at the points of a quadrature; eta is None where a tensor is given."""
         *eta, zeta = self.values_at(place)
         return zeta, eta[0] if eta else None
@@ -316,13 +313,13 @@ class Elasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
-        B = _stiffness(body, self.lame, self.tensor)
+        B = _stiffness(body, self)
         return Contribution(B=B if B.count_nonzero() else None)
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 mu dev e(u)."""
         known = self.tensor is None
-        return (lambda motion: shear_stress(body, self.lame, motion.u)) if known else None
+        return (lambda motion: shear_stress(body, self.moduli, motion.u)) if known else None
 
     def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
@@ -337,6 +334,8 @@ class Elasticity(Record):
             _check_compressible(nu)
             lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
         return lam, mu
+
+    moduli = lame
 
 
 @dataclass(frozen=True)
@@ -588,15 +587,19 @@ class PointForce(Record):
             raise InputError(f"at: the point {shown(self.at)} is not in the body")
         full = np.zeros(body.nodes.size)
         full[body.nodes] = values[:, None] * shape
-        return Contribution(loads=[(self.history, body.restrict(full))])
+        f = _restrict(body, f"at: the point {shown(self.at)}", full)
+        return Contribution(loads=[(self.history, f)])
 
 
 @dataclass(frozen=True)
 class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
-    Breakpoints of the history should be ends of steps. Of the energies of a run only that lost by
-    friction is known, as what is held is no unknown; the others are nan.
+    It cannot be combined with a yield stress, one-way motion, plasticity or a Maxwell branch, which
+    would have to see it. Breakpoints of the history should be ends of steps. Of the energies of a
+    run only that lost by friction is known, as what is held is no unknown; the others are nan.
+    Pictures draw the force on the body along d, positive in its direction, <d, A u' + B u> / |d|
+    with |d| the largest length.
 
     Parameters
     ----------
@@ -629,7 +632,7 @@ class PrescribedDisplacement(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.history, History):
+        if not isinstance(self.history, History) or hasattr(self.history, "dim"):
             raise InputError(
                 f"history must be data whose rate is known, such as Table or Sine, got "
                 f"{shown(self.history)}"
@@ -868,6 +871,10 @@ class MaxwellBranch:
             lambda motion: spring(motion._replace(u=motion.u - body.expand(motion.internal)))
         )
 
+    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+        """Those of the spring."""
+        return self.spring().moduli(body, place)
+
     def contribute(self, body: Discretisation) -> Contribution:
         """Matrices of u and w; none if the moduli are zero everywhere."""
         S = self.spring().contribute(body).B
@@ -957,10 +964,13 @@ def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[i
     return law | {(i, i): mu for i in range(d, size)}
 
 
-def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_array:
+def _stiffness(body: Discretisation, effect: Viscosity | Elasticity) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
     place = body.whole
-    strain, law = strains_of(body), _hooke(body, *moduli(body, place), tensor)
+    lam, mu = effect.moduli(body, place)
+    if body.kind == "plane stress" and mu is not None:
+        _check_proportional(body, lam / mu, "zeta" if isinstance(effect, Viscosity) else "nu")
+    strain, law = strains_of(body), _hooke(body, lam, mu, effect.tensor)
 
     def form(u: Any, v: Any, _: Any) -> Any:
         a, b = strain(u), strain(v)
@@ -970,11 +980,25 @@ def _stiffness(body: Discretisation, moduli: Moduli, tensor: Any) -> sp.csc_arra
     return restricted
 
 
-def _restrict(body: Discretisation, on: Sequence[str], x: Any) -> Any:
+def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
+    """Refuse laws that differ in lam / mu: in plane stress they share the strain across it."""
+    for one in body.effects:
+        if hasattr(one, "moduli"):
+            lam, mu = one.moduli(body, body.whole)
+            if mu is not None and not np.allclose(lam / mu, ratio, rtol=1e-9):
+                raise InputError(
+                    f"{name}: in plane stress viscosity, elasticity and Maxwell branches need one "
+                    "Poisson's ratio, as the strain across the plane follows from all of them, and "
+                    f"{type(one).__name__} has another: give all the same nu, and viscosity zeta = "
+                    "2 nu eta / (1 - 2 nu), or take kind = 'solid'"
+                )
+
+
+def _restrict(body: Discretisation, where: str, x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
     if size and abs(restricted).sum() <= TURNED * size:
-        raise InputError(f"on: all of {', '.join(on)} is clamped or held; nothing moves there")
+        raise InputError(f"{where} is clamped or held; nothing moves there")
     return restricted
 
 
@@ -982,7 +1006,8 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v on the unknowns."""
     place = body.place("on", effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
-    return _restrict(body, effect.on, place.matrix(lambda u, v, _: c * inner(u, v)))
+    where = f"on: all of {', '.join(effect.on)}"
+    return _restrict(body, where, place.matrix(lambda u, v, _: c * inner(u, v)))
 
 
 def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place: Place) -> Force:
@@ -1001,6 +1026,7 @@ def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place:
             directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
-        return np.asarray(_restrict(body, getattr(effect, "on", (BODY,)), place.vector(form)))
+        where = f"on: all of {', '.join(getattr(effect, 'on', (BODY,)))}"
+        return np.asarray(_restrict(body, where, place.vector(form)))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

@@ -83,16 +83,16 @@ def grid(
     >>> grid([1.0], [4], points=["x**2"]).p.round(4).tolist()
     [[0.0, 0.0625, 0.25, 0.5625, 1.0]]
     """
-    sizes, cells = listed("sizes", sizes), listed("cells", cells)
-    if not len(sizes) == len(cells) <= len(SIDES):
+    lengths, counts = listed("sizes", sizes, number, 0.0, True), listed("cells", cells, count)
+    if not len(lengths) == len(counts) <= len(SIDES):
         raise InputError(
-            f"sizes and cells must have one entry for each of x, y, z, got {len(sizes)} and "
-            f"{len(cells)}"
+            f"sizes and cells must have one entry for each of x, y, z, got {len(lengths)} and "
+            f"{len(counts)}"
         )
-    counts = listed("cells", cells, count)
     if prod(counts) * factorial(len(counts)) > MOST_CELLS:
-        raise InputError(f"cells: {shown(cells)} make more than {MOST_CELLS:.0e} cells; take fewer")
-    lengths = listed("sizes", sizes, number, 0.0, True)
+        raise InputError(
+            f"cells: {shown(counts)} make more than {MOST_CELLS:.0e} cells; take fewer"
+        )
     lines = [np.linspace(0.0, size, n + 1) for size, n in zip(lengths, counts, strict=True)]
     mesh = (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)[len(lines) - 1].init_tensor(*lines)
     boundaries = {}

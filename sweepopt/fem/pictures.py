@@ -97,9 +97,9 @@ def pictures_of(scene: Scene) -> list[str]:
     if len(fitting) < len(asked) and not any("without" in one for one in scene.changes):
         reason = next(filter(None, map(reasons.get, asked)))
         raise InputError(f"pictures: {reason}; leave it out")
-    if scene.pictures is None or len(fitting) < len(asked):
-        return fitting or [name for name in AUTOMATIC if not reasons[name]]
-    return fitting
+    if scene.pictures is not None and not asked:
+        return []
+    return fitting or [name for name in AUTOMATIC if not reasons[name]]
 
 
 def choose(scene: Scene, name: str, known: Iterable[str]) -> str:
@@ -180,7 +180,9 @@ def space_time(report: Report) -> Any:
     rate = np.ma.masked_equal(slip.velocity, 0.0)
     image = _over_time(report, slip, panel, rate, **colours_of(slip.velocity))
     name_axis(report, figure.colorbar(image, ax=panel).ax.yaxis, "slip rate", "velocity")
-    panel.set_ylim(_slip_range(slip))
+    low, high, name = _slip_range(slip)
+    panel.set_ylim(low, high)
+    name_axis(report, panel.yaxis, name, "length")
     name_axis(report, panel.xaxis, "time", "time")
     legend_of(figure, {STICK: "sticks"} if rate.mask.any() else {})
     return figure
@@ -191,7 +193,7 @@ def profiles(report: Report) -> Any:
     slip: Any = report.slip
     figure = new_figure((8.5, 6.5))
     moved, traction = figure.subplots(2, 1, sharex=True)
-    (low, high), arc = _slip_range(slip), slip.contact.arc
+    (low, high, name), arc = _slip_range(slip), slip.contact.arc
     inside = np.flatnonzero((low <= arc) & (arc <= high))
     arc, bound = arc[inside], slip.contact.bound[inside]
     chosen = even_steps(report.solution, 5)
@@ -202,7 +204,7 @@ def profiles(report: Report) -> Any:
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8, label=names)
     legend_above(traction, 3)
     name_axis(report, moved.yaxis, "displacement", "length")
-    name_axis(report, traction.xaxis, _place(slip)[1], "length")
+    name_axis(report, traction.xaxis, name, "length")
     name_axis(report, traction.yaxis, "friction traction", "traction")
     return figure
 
@@ -222,16 +224,17 @@ def loop(report: Report) -> Any:
 def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, str]]:
     """Displacement and load of what drives the scene at the times, with their names.
 
-    Of a prescribed displacement phi d, phi |d| with |d| its largest length, and the reaction
-    <d, A u' + B u - f> / |d|, without friction at the nodes that are moved; else the sum of
-    the forces at free nodes along the largest load, and the mean displacement along them.
+    Of a prescribed displacement phi d, the first, phi |d| with |d| its largest length, and the
+    force on the body <d, A u' + B u - f> / |d|, without friction at the nodes that are moved; else
+    the sum of the forces at free nodes along the largest load, and the mean displacement along
+    them.
     """
     body, t = scene.discretisation, solution.t
     if scene.lifts:
         history, d = scene.lifts[0]
         size = float(np.linalg.norm(d[body.nodes], axis=0).max()) or 1.0
-        reaction = _reaction(scene, solution, d) / size
-        return history(t) * size, reaction, ("prescribed displacement", "reaction")
+        words = "prescribed displacement", "force on the body along\nthe prescribed motion"
+        return history(t) * size, _reaction(scene, solution, d) / size, words
     forces = np.array([scene.load(time)[: body.dim] for time in t])
     largest = forces[np.linalg.norm(forces, axis=1).argmax()]
     nodal = body.expand(largest).reshape(-1, body.components)
@@ -282,12 +285,15 @@ def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: An
     return panel.pcolormesh(t, edges, values[:, order].T, rasterized=True, **look)
 
 
-def _slip_range(slip: Slip) -> tuple[float, float]:
-    """The place between the outermost nodes that ever slip, and some more."""
-    place, _ = _place(slip)
+def _slip_range(slip: Slip) -> tuple[float, float, str]:
+    """The place between the outermost nodes that ever slip, and some more, with its axis's name."""
+    place, name = _place(slip)
     where = place[slip.total > 0] if slip.total.any() else place
     more = 0.15 * float(np.ptp(where))
-    return max(where.min() - more, place.min()), min(where.max() + more, place.max())
+    low, high = max(where.min() - more, place.min()), min(where.max() + more, place.max())
+    if high - low < np.ptp(place):
+        name += "\n(what is left out never slips)"
+    return low, high, name
 
 
 FIELDS = {

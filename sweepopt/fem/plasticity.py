@@ -92,6 +92,13 @@ class Plasticity(Record):
             raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place))
         at_points = self._moduli(body, place)
+        if body.kind == "plane stress" and any(
+            hasattr(one, "moduli") and not hasattr(one, "lame") for one in body.effects
+        ):
+            raise InputError(
+                "on: in plane stress viscosity and Maxwell branches beside plasticity are not "
+                "offered: they would lack its strain across the plane; take kind = 'solid'"
+            )
         every = [one.cells(body) for one in body.effects if isinstance(one, Plasticity)]
         if np.bincount(np.concatenate(every)).max() > 1:
             raise InputError(
@@ -181,9 +188,9 @@ class Plasticity(Record):
 def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:
     if ((eta == 0) & (Hk + Hi <= LEAST * 2 * mu)).any():
         raise InputError(
-            f"Hk: nothing hardens where eta is zero, and Hk + Hi zero or below {LEAST:g} of 2 mu, "
-            "which is rounding. Perfect plasticity has no bounded velocity and is not in the "
-            "class; give a small Hk or Hi, or a viscosity eta"
+            "Hk: nothing hardens where eta is zero, and Hk + Hi zero or rounding of 2 mu. Perfect "
+            "plasticity has no bounded velocity and is not in the class; give Hk or Hi (at least "
+            f"{LEAST:g} of 2 mu), or a viscosity eta"
         )
     if Hi.any() and Hi.min() <= 0:
         raise InputError("Hi: must be > 0 everywhere or 0; state two effects, on two subdomains")

@@ -435,7 +435,7 @@ def build(
     yields = tuple(one for part in parts for one in part.yields)
     with _blaming(effects, parts):
         _check_held(space, A, B)
-    _check_lifts(space, yields, lifts, internal=size > space.dim)
+    _check_lifts(space, effects, parts)
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size - space.dim)
@@ -467,7 +467,11 @@ def build(
 
 
 def _check_words(units: Any, title: Any, **_: Any) -> None:
-    choice("units", units, UNITS)
+    if units not in UNITS:
+        raise InputError(
+            f"units must be one of {', '.join(UNITS)}; got {shown(units)}; convert to metres, "
+            "seconds and pascals (SI), or leave it out (dimensionless)"
+        )
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
 
@@ -518,31 +522,36 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
     of_body = sum(M[: space.dim, : space.dim] for M in matrices)
     if (point := space.loose_point(of_body)) is not None:
         raise InputError(
-            f"clamped (domain.clamped of a file): nothing holds the piece of the body with the "
-            f"point {point} (above rounding); clamp part of every piece, hold components, or give "
-            "it a foundation or a dashpot"
+            "clamped (domain.clamped of a file): nothing holds the piece of the body that contains "
+            f"{point}; clamp part of every piece, hold components, or give it a foundation or a "
+            "dashpot"
         )
 
 
 def _check_lifts(
-    space: Discretisation, yields: Sequence[Yield], lifts: Sequence[Any], internal: bool
+    space: Discretisation, labels: Iterable[str], parts: Sequence[Contribution]
 ) -> None:
     """Refuse a prescribed displacement that something nonsmooth or internal would see."""
-    bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
-    if lifts and (bound or internal):
-        raise InputError(
-            "effects: with a prescribed displacement there is no yield stress, one-way velocity, "
-            "Maxwell branch or plasticity, which would see it; drive the body by a traction"
-        )
-    frame = space.frame
-    for node, where in [(one.contact.node, one.rows.where) for one in yields if one.contact]:
-        normal_alone = (frame.held[node] == 1) & ~frame.normal[node] & (where == "trace")
-        dofs = space.nodes[:, node[~normal_alone]]
-        if any(d[dofs].any() for _, d in lifts):  # |v| would lack it
-            raise InputError(
-                "effects: a prescribed displacement moves a tangent of a boundary with "
-                "friction, whose slip would lack it; prescribe it elsewhere"
-            )
+    labelled, frame = list(zip(labels, parts, strict=True)), space.frame
+    lifts = [(label, part.lift[1]) for label, part in labelled if part.lift is not None]
+    for name, d in lifts:
+        for label, part in labelled:
+            bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in part.yields)
+            if bound or part.internal:
+                raise InputError(
+                    f"{label} cannot be combined with {name}: its strains or velocities would lack "
+                    "what is prescribed; drive the body by a traction"
+                )
+            for one in part.yields:
+                if one.contact is None:
+                    continue
+                node = one.contact.node
+                normal = (frame.held[node] == 1) & ~frame.normal[node] & (one.rows.where == "trace")
+                if d[space.nodes[:, node[~normal]]].any():  # |v| would lack it
+                    raise InputError(
+                        f"{name} moves a tangent of a boundary of {label}, whose slip would lack "
+                        "it; prescribe it elsewhere"
+                    )
 
 
 def _problem(

@@ -172,6 +172,8 @@ def read_scene(
 
         EFFECTS_AND_KEYS
 
+    With prescribed_displacement there is no yield_stress, one_way, plasticity or maxwell.
+
     Examples
     --------
     >>> scene = read_scene("tube")
@@ -221,12 +223,11 @@ def _scene_of(
     pictures = file.pictures
     if pictures not in (None, []):
         pictures = listed("pictures", pictures, choice, PICTURES)
-    tables = effect_tables(file.effects)
-    labels = remaining(list(tables), without)
+    tables = effect_tables(file.effects, without)
     body = _construct(Discretisation, file.domain, "domain", folder)
     there = ", ".join(sorted(body.mesh.boundaries or {})) or "none"
     missing = MISSING | {"on": f"; the boundaries are: {there}"}
-    chosen = {label: _construct(*tables[label], label, folder, missing) for label in labels}
+    chosen = {label: _construct(*tables[label], label, folder, missing) for label in tables}
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
     settings["changes"] = (
         *(f"{path} = {value!r}" for path, value in changes.items()),
@@ -295,29 +296,32 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     return value
 
 
-def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
-    """Kinds and tables of the effects by their path."""
+def effect_tables(tables: Any, without: Sequence[str]) -> dict[str, tuple[type, Any]]:
+    """Kinds and tables by their path of the effects that are not left out."""
     if not isinstance(tables, Mapping):
         raise InputError(f"effects: must be a table, got {shown(tables)}")
-    kinds: dict[str, tuple[type, Any]] = {}
+    named: dict[str, tuple[str, Any]] = {}
     for name, table in tables.items():
-        path = f"effects.{name}"
+        several = {f"effects.{name}": table}
+        if isinstance(table, list):
+            several = {f"effects.{name}[{k}]": one for k, one in enumerate(table)}
+        named |= {label: (name, one) for label, one in several.items()}
+    kinds: dict[str, tuple[type, Any]] = {}
+    for label in remaining(list(named), without):
+        name, table = named[label]
         if name not in EFFECTS:
             own = "; an effect of your own must be in sweepopt.fem.EFFECTS first"
             begin = next((one for one in EFFECTS if name.startswith(f"{one}_")), "")
             more = f"; write [[effects.{begin}]] above each of several" if begin else ""
             hint = MEANT.get(name) or more or suggestion(name, EFFECTS) or own
-            raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}{hint}")
+            raise InputError(f"effects.{name}: unknown key; there are: {', '.join(EFFECTS)}{hint}")
         kind = EFFECTS[name]
         if not callable(kind) or (table and not signature(kind).parameters):
             raise InputError(
-                f"{path}: EFFECTS[{name!r}] must be a class whose fields are the keys, with "
-                f"@dataclass(frozen=True) above it, got {shown(kind)}"
+                f"effects.{name}: EFFECTS[{name!r}] must be a class whose fields are the keys, "
+                f"with @dataclass(frozen=True) above it, got {shown(kind)}"
             )
-        several = {path: table}
-        if isinstance(table, list):
-            several = {f"{path}[{k}]": one for k, one in enumerate(table)}
-        kinds |= {label: (kind, one) for label, one in several.items()}
+        kinds[label] = kind, table
     return kinds
 
 

@@ -369,11 +369,9 @@ def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
     columns = min(len(steps), 3)
     rows = -(-len(steps) // columns)
     figure = new_figure((max(4.0 * columns, 5.5), 3.5 * rows))  # a legend is wide
-    kind = {"projection": "3d"} if field.points.shape[1] == 3 else {}
-    panels = figure.subplots(rows, columns, squeeze=False, subplot_kw=kind)
-    for panel in panels.flat[len(steps) :]:
-        panel.set_axis_off()
-    for i, panel in enumerate(panels.flat[: len(steps)]):
+    kind: Any = {"projection": "3d"} if field.points.shape[1] == 3 else {}
+    panels = [figure.add_subplot(rows, columns, k, **kind) for k in range(1, len(steps) + 1)]
+    for i, panel in enumerate(panels):
         image = _draw(report, field, panel, steps, i)
         for own, name, x in zip("xyz", field.axes, field.points.T, strict=False):
             edge = 0.08 * (np.ptp(x) or 1.0)
@@ -384,4 +382,4 @@ def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
         bar = figure.colorbar(image, ax=panels, shrink=0.8)
         name_axis(report, bar.ax.yaxis, field.label, field.quantity)
     legend_of(figure, field.legend)
-    return figure, panels[0, 0]
+    return figure, panels[0]

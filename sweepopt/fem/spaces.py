@@ -115,7 +115,7 @@ class Discretisation(Brief):
     held: Mapping[str, str] = field(default_factory=dict)
     turned: Sequence[str] = field(default=(), init=False)
     start = 0.0  # of the scene that is built on it: when functions of time may be called
-    effects = ()  # all of that scene
+    effects = tuple[Any, ...]()  # all of that scene
 
     def __post_init__(self) -> None:
         choice("element", self.element, ELEMENTS)

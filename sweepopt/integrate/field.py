@@ -107,9 +107,9 @@ def velocity_field(
             raise VelocityError(
                 f"the velocity at t = {t:g} is known to {relative:.2g} of its size only, tol is "
                 f"{tol:g}; loosen tol or try another solver",
-                t,
-                u,
-                relative,
+                t=t,
+                u=u,
+                certificate=relative,
             )
         return z
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, Array, axes, count, number, vector
+from sweepopt.checks import TIME_SLACK, Array, axes, count, increasing, number
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
 from sweepopt.linalg import EPS
@@ -47,9 +47,7 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
         if end is None:
             raise InputError("t_end is missing; give it or pass the times as steps")
         return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)
-    times = vector("steps", steps)
-    if times.size < 2 or not (np.diff(times) > 0).all():
-        raise InputError("steps must hold at least two strictly increasing times")
+    times = increasing("steps", steps)
     if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
         raise InputError(
             f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out, or end them at "

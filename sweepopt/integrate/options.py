@@ -43,7 +43,8 @@ class Adaptive:
     Parameters
     ----------
     tol : float
-        The global error, in the units of |u|_A. It is estimated, not proved.
+        The global error at the ends of steps, in the units of |u|_A. It is estimated, not proved;
+        within steps, where u is linear, errors can be larger.
     first : float, optional
         Longest step, t_end / 16 by default, t_end / 32 where the load is a function. An event of
         such a load that is shorter than the steps can pass unseen: make `first` as short as it.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import at_path, entries, instant
+from sweepopt.checks import at_path, entries, instant, read_only
 from sweepopt.errors import InputError, result_of, shown
 from sweepopt.loads.history import Array, History, NoArithmetic, breakpoints
 
@@ -69,8 +69,7 @@ class Separable(NoArithmetic):
                     f"terms[{k}][1] has {columns[k].size} entries, terms[0][1] has "
                     f"{columns[0].size}; all must agree"
                 )
-        self.shapes: Array = np.column_stack(columns)
-        self.shapes.setflags(write=False)
+        self.shapes = read_only(np.column_stack(columns))
         self.terms = tuple((pair[0], column) for pair, column in zip(pairs, columns, strict=True))
         self.dim: int = self.shapes.shape[0]
 

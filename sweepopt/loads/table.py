@@ -10,11 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, at_path, axes, entries, matrix, number, with_checks
+from sweepopt.checks import (
+    TIME_SLACK,
+    at_path,
+    axes,
+    entries,
+    increasing,
+    matrix,
+    number,
+    with_checks,
+)
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
-from sweepopt.loads.history import Array, History, Piece, as_times, interval
+from sweepopt.loads.history import Array, History, as_times, interval
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -166,19 +175,6 @@ class VectorTable(Table):
         values = self(np.concatenate([[a], self.breakpoints(a, b), [b]]))
         return float(sum(map(norm or np.linalg.norm, np.diff(values, axis=0))))
 
-    def rate(self) -> History:
-        """None, as `piece`."""
-        raise InputError("a VectorTable has no scalar rate; give it as center or load")
-
-    def piece(self, a: float, b: float) -> Piece:
-        """None: it is no scalar history.
-
-        Raises
-        ------
-        InputError
-        """
-        raise InputError("a VectorTable has no scalar closed form; give it as center or load")
-
 
 def check_points(
     name: str, times: ArrayLike, values: ArrayLike, rows: Sequence[int] = ()
@@ -192,18 +188,8 @@ def check_points(
             f"values must have one axis, got shape {np.shape(values)}; rows of vectors are "
             "so.VectorTable(times, values)"
         )
-    t, phi = entries(name, times), entries("values", values)
-    if t.size < 2:
-        raise InputError(f"{name} must have two entries or more; for one value, use Constant")
+    sort = "; sort the table, and leave a small gap at a jump, such as 1e-06 of its length"
+    t, phi = increasing(name, times, sort, rows), entries("values", values)
     if phi.shape != t.shape:
         raise InputError(f"values has {phi.size} entries, {name} has {t.size}; give one each")
-    late = np.flatnonzero(np.diff(t) < 1 / HUGE)
-    if late.size:
-        k = int(late[0])
-        places = [f"row {row}" for row in rows] or [f"entry {i}" for i in range(t.size)]
-        raise InputError(
-            f"{name} must increase strictly, but {places[k + 1]} ({t[k + 1]:g}) follows "
-            f"{places[k]} ({t[k]:g}); sort the table, and leave a small gap at a jump, "
-            f"such as {1e-6 * (np.ptp(t) or 1.0):.1g}"
-        )
     return t, phi

@@ -25,8 +25,10 @@ from sweepopt.checks import (
     at_path,
     axes,
     entries,
+    increasing,
     meaning,
     number,
+    read_only,
     symmetric,
     takes,
     vector,
@@ -255,9 +257,7 @@ class SweepingProcess(Displayed):
         """C(t), or C(t, u) where it depends on the state, which its function cannot change."""
         if not isinstance(self.C, StateDependent):
             return self.C.at(t)
-        state = u.view()
-        state.flags.writeable = False
-        return self.C.of(state).at(t)
+        return self.C.of(read_only(u.view())).at(t)
 
     @cached_property
     def state_rate(self) -> float:
@@ -426,10 +426,7 @@ class SweepingProcess(Displayed):
             one dimension whose offsets move, sets of different kinds.
         """
         self.refuse_state("the variation of C(t)")
-        times = vector("times", times)
-        if times.size < 2 or not (np.diff(times) > 0).all():
-            raise InputError("times must hold at least two strictly increasing times")
-        return variation(self.C, self.metric, times)
+        return variation(self.C, self.metric, increasing("times", times))
 
     def velocity_bound(self, times: Array, paper: bool = False) -> VelocityBound:
         """An a priori bound of the velocity, MATH.md section 3:

@@ -6,6 +6,7 @@ from sweepopt.results.dataset import (
     NetCDFSink,
     field_names,
     netcdf_bytes,
+    netcdf_package,
     open_run,
     software,
     solver_name,

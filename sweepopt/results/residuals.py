@@ -23,7 +23,16 @@ import numpy as np
 
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError
-from sweepopt.problem import ONE, Motion, Norms, SweepingProcess, TimeFunction, applied, motion
+from sweepopt.problem import (
+    ONE,
+    Motion,
+    Norms,
+    SweepingProcess,
+    TimeFunction,
+    applied,
+    histories_of,
+    motion,
+)
 from sweepopt.results.interpolation import (
     GAUSS,
     TO_BERNSTEIN,
@@ -39,10 +48,12 @@ from sweepopt.results.interpolation import (
 from sweepopt.sets import (
     ROUNDING,
     Aligned,
+    AnySet,
     ConvexSet,
     Polyhedron,
     basis,
     points_of_sum,
+    shape_of,
     to_bernstein,
 )
 
@@ -181,7 +192,7 @@ def residuals(
     """
     process = norms.process
     data, points = motion(process.C), None
-    reason = _unknown(data)
+    reason = _unknown(process.C, data)
     if not data.disjoint:
         forces = applied(process.A, speed)
         if process.B is not None:
@@ -215,13 +226,12 @@ def _points_of_several(data: Motion, times: Array, forces: Array, speed: Array) 
     return points_of_sum([S for _, S in data.summands], sizes, outside)
 
 
-def _unknown(data: Motion) -> str:
+def _unknown(C: AnySet, data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
     if not data.summands:
-        return (
-            "C(t) is a function of time, or an intersection of curved sets that move apart: write "
-            "it as a Moving set, or give variation="
-        )
+        known = all(hasattr(phi, "variation") for phi in histories_of(C, inside=False))
+        kind = "made of sets that move separately" if known else "a function of time"
+        return f"C(t) is {kind}: write it as a Moving set, or give variation="
     parts = [(data.name, data.offsets or data.center)]
     summands: Any = data.summands
     for scale, S in summands:
@@ -229,7 +239,8 @@ def _unknown(data: Motion) -> str:
         if data.offsets is not None and not S.exact_rows:
             return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
         if data.offsets is None and not S.certifiable:
-            return f"nothing is proved of {type(S).__name__}"
+            part = next(part for part in S.form().parts if not part.certifiable)
+            return f"nothing is proved of {type(shape_of(part)).__name__}"
     for name, f in parts:
         if not f.bounded:
             return (

@@ -79,6 +79,9 @@ class Field(NamedTuple):
 class _Absent(SimpleNamespace):
     """What a file says of a process and its plan."""
 
+    def __repr__(self) -> str:
+        return "not in the file: so.Solution.load(path, process) has it"
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
@@ -169,12 +172,12 @@ class Solution(Displayed):
     @cached_property
     def u(self) -> Array:
         """u_n at the times t, shape (k+1, dim)."""
-        return self.states.u(slice(None))
+        return checks.read_only(self.states.u(slice(None)))
 
     @cached_property
     def velocity(self) -> Array:
         """u_n' in the kept steps, shape (k, dim): (u_{i+1} - u_i) / mu of each."""
-        return self.states.velocity(slice(None))
+        return checks.read_only(self.states.velocity(slice(None)))
 
     @cached_property
     def stats(self) -> Array:
@@ -396,10 +399,9 @@ class Solution(Displayed):
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
-        It takes up to ten times as long as the run: other runs beside it, on grids that are refined
-        where bodies start and stop. A C(t) that is no data takes one such run. Steps that were not
-        kept are computed again. Where C(t) is bounded data it is never more than what the energy
-        allows u and u_n to be apart (MATH 4).
+        Computing it takes 6 times as long as the run (median; at most 12), as it makes other runs
+        with more steps where bodies start and stop; a single one where C(t) is not data. Steps that
+        were not kept are computed again. MATH.md section 4 says how close bounds are.
 
         Parameters
         ----------

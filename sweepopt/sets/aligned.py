@@ -31,7 +31,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     Selection,
-    places,
+    placed,
 )
 from sweepopt.sets.shapes import Box, Point
 
@@ -79,7 +79,7 @@ class Aligned(ConvexSet):
     @cached_property
     def _places(self) -> list[Any]:
         """Where each part is."""
-        each: list[Any] = places(self.parts)
+        each = [at for _, at in placed(self.parts)]
         return each if self.unknowns is None else [self.unknowns[at] for at in each]
 
     def _split(self, *vectors: Any) -> Any:
@@ -166,8 +166,8 @@ class Aligned(ConvexSet):
             return None
         if self.whole:
             return each[0]
-        every, places = np.arange(self.dim), zip(self._places, each, strict=True)
-        return [one._replace(unknowns=every[at][one.unknowns]) for at, of in places for one in of]
+        every, where = np.arange(self.dim), zip(self._places, each, strict=True)
+        return [one._replace(unknowns=every[at][one.unknowns]) for at, of in where for one in of]
 
     @cached_property
     def sharp_gaps(self) -> bool:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache, wraps
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
@@ -691,10 +691,10 @@ class ConvexSet(Operators, ABC):
         return [(float(times[0]), self)]
 
 
-def places(parts: Iterable[ConvexSet]) -> list[slice]:
-    """Where each part is in the vector of all, one after the other."""
+def placed(parts: Sequence[ConvexSet]) -> list[tuple[ConvexSet, slice]]:
+    """Each part and where it is in the vector of all, one after the other."""
     ends = np.cumsum([0, *(part.dim for part in parts)]).tolist()
-    return [slice(*pair) for pair in pairwise(ends)]
+    return [(part, slice(*pair)) for part, pair in zip(parts, pairwise(ends), strict=True)]
 
 
 def is_vector(value: Any) -> bool:

@@ -17,8 +17,7 @@ import scipy.sparse as sp
 
 from sweepopt.sets.aligned import Aligned
 from sweepopt.sets.balls import Ball, Balls, Ellipsoid
-from sweepopt.sets.base import ConvexSet, places, same_array
-from sweepopt.sets.lifted import Lifted
+from sweepopt.sets.base import ConvexSet, placed, same_array
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
@@ -75,9 +74,6 @@ class Statement:
                 y = cp.Variable(C.h.size, self.name("y"), nonneg=True)
                 self.constraints.append(self.data("G", C.G).T @ y == p)
                 return self.data("h", C.h) @ y
-            case Lifted() if C.polar_cone:
-                self.constraints.append(self.data("G", C.polar_cone.G) @ p <= 0)
-                return 0
             case Aligned() if C.whole:
                 r = abs(C.factor)
                 value = self.sigma(C.parts[0], p if C.factor > 0 else -p)
@@ -89,7 +85,7 @@ class Statement:
             self.constraints += ties
             return self.data("h", C.offsets) @ cp.hstack(y) if y else 0
         value, lam = 0, cp.Variable(F.shape[0], self.name("lam")) if F.shape[0] else None
-        for S, at in zip(parts, places(parts), strict=True):
+        for S, at in placed(parts):
             x = self.transposed("E", E[:, at], p) + self.transposed("F", F[:, at], lam)
             value += self.sigma(S, x)
         return value

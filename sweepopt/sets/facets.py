@@ -17,7 +17,7 @@ import scipy.optimize
 from sweepopt.checks import Array
 from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.aligned import Aligned, product_of
-from sweepopt.sets.base import RANK, ConvexSet, Form, Halfspaces, NoHalfspacesError, places
+from sweepopt.sets.base import RANK, ConvexSet, Form, Halfspaces, NoHalfspacesError, placed
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope, hull_vertices
 
@@ -79,8 +79,8 @@ def facets(C: ConvexSet) -> Halfspaces:
 
 def _sums(form: Form) -> Array:
     """The vertices of E S: sums of those of the factors of S."""
-    points, factors = np.zeros((1, form.E.shape[0])), product_of(form.parts).factors()
-    for S, at in zip(factors, places(factors), strict=True):
+    points = np.zeros((1, form.E.shape[0]))
+    for S, at in placed(product_of(form.parts).factors()):
         ends = S.vertices if isinstance(S, Polytope) else _corners(facets(S))
         each = points[:, None] + ends @ dense(form.E[:, at]).T
         points = hull_vertices(each.reshape(-1, form.E.shape[0]))

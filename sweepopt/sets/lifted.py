@@ -32,7 +32,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     binary,
-    places,
+    placed,
     same_array,
 )
 from sweepopt.sets.curves import basis
@@ -57,11 +57,12 @@ AHEAD = 1e3  # times the size of C & D: how far along p the point is that is pro
 
 
 class Lifted(ConvexSet):
-    """{ E s : s in S, F s = 0 }, S the product of exact parts."""
+    """{ E s : s in S, F s = 0 }, S the product of exact parts; the operands are what made it."""
 
     exact = False
 
-    def __init__(self, lifted: Form) -> None:
+    def __init__(self, lifted: Form, *operands: ConvexSet) -> None:
+        self.operands = operands
         unit = binary(float(np.abs(lifted.F.data).max(initial=0.0)))
         if unit != 1:  # programs see rows of numbers near 1
             lifted = lifted._replace(F=lifted.F / unit)
@@ -124,22 +125,23 @@ class Lifted(ConvexSet):
     def magnitude(self) -> float:
         if self._cut:
             return super().magnitude()
-        each = zip(self._norms, self.lifted.parts, strict=True)
-        return sum(size * part.magnitude() for size, part in each if size)
+        return sum(size * part.magnitude() for part, size in self._norms if size)
 
     def _distance(self, other: ConvexSet) -> float | None:
         if self._cut or not (isinstance(other, Lifted) and self.same_cone(other)):
             return None
-        each = zip(self._norms, self.lifted.parts, other.lifted.parts, strict=True)
-        bounds = [(size, C.distance_bound(D)) for size, C, D in each]
+        each = zip(self._norms, other.lifted.parts, strict=True)
+        bounds = [(size, C.distance_bound(D)) for (C, size), D in each]
         known = [size * distance for size, distance in bounds if distance is not None]
         return sum(known) if len(known) == len(bounds) else None
 
     @property
-    def _norms(self) -> list[float]:
-        """Bounds of |E_i| for each part."""
-        blocks = (self.lifted.E[:, at] for at in places(self.lifted.parts))
-        return [float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E))) for E in blocks]
+    def _norms(self) -> list[tuple[ConvexSet, float]]:
+        """The parts, each with a bound of |E_i|."""
+        blocks = [(part, self.lifted.E[:, at]) for part, at in placed(self.lifted.parts)]
+        return [
+            (part, float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E)))) for part, E in blocks
+        ]
 
     @cached_property
     def shift_sizes(self) -> Array:
@@ -369,10 +371,6 @@ def _rounded(v: Array) -> Perturbation:
 class Sum(Lifted):
     """The Minkowski sum C + D:  sigma(C + D, z) = sigma(C, z) + sigma(D, z)."""
 
-    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        self.operands = first, second
-        super().__init__(Form.added(first.form(), second.form()))
-
     @property
     def anchor(self) -> Array:
         return self.operands[0].anchor + self.operands[1].anchor
@@ -405,10 +403,6 @@ class Intersection(Lifted):
     Where a curved set only touches another one the point they share moves by the square root of
     what rounds in the data, 1e-8 of their size; a projection that is lost so raises TouchingError.
     """
-
-    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        self.operands = first, second
-        super().__init__(Form.common(first.form(), second.form()))
 
     def _pair_of_one(self, v: Array) -> NormalPair | None:
         # where its point lies in the other set: exact from any v. Without it steps on a ball cut by

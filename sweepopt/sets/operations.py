@@ -27,11 +27,12 @@ from sweepopt.sets.base import (
     DENSE,
     Algebra,
     ConvexSet,
+    Form,
     NoHalfspacesError,
     Operators,
     is_vector,
     nested,
-    places,
+    placed,
     require_same_dim,
     row_units,
 )
@@ -121,12 +122,9 @@ def _on_few(S: ConvexSet) -> ConvexSet:
         return Aligned(Box(S.lower[few], S.upper[few]), unknowns=few, dim=S.dim)
     if type(S) is not Aligned or S.unknowns is not None:
         return S
-    where = [np.arange(S.dim)[at] for at in places(S.parts)]
-    kept = [
-        (C, at) for C, at in zip(S.parts, where, strict=True) if not C.singleton or C.anchor.any()
-    ]
-    parts, unknowns = zip(*kept, strict=True)
-    return Aligned(*parts, unknowns=np.concatenate(unknowns), dim=S.dim)
+    kept = [(C, at) for C, at in placed(S.parts) if not C.singleton or C.anchor.any()]
+    parts, where = zip(*kept, strict=True)
+    return Aligned(*parts, unknowns=np.r_[where], dim=S.dim)
 
 
 def _translated(of: Summands) -> Moving | None:
@@ -208,7 +206,7 @@ def add(C: ConvexSet, other: Any) -> Any:
         return Box(C.lower + other.lower, C.upper + other.upper)
     if isinstance(C, Ball) and isinstance(other, Ball):
         return Ball(C.center + other.center, C.radius + other.radius)
-    return Sum(C, other)
+    return Sum(Form.added(C.form(), other.form()), C, other)
 
 
 @partial(over_time, linear=True)
@@ -241,7 +239,7 @@ def intersect(C: ConvexSet, D: Any) -> Any:
         return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
     have_rows = (isinstance(shape_of(S), (Box, Polyhedron)) and not S.singleton for S in (C, D))
     if C.dim > ACTIVE_DIM or not all(have_rows):
-        return Intersection(C, D)
+        return Intersection(Form.common(C.form(), D.form()), C, D)
     (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
@@ -347,8 +345,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         parts = C.factors() if isinstance(C, Balls) else C.parts
         if 1 < len(parts) <= DENSE // M.shape[0]:
             # one by one: the image of a ball is exact, with columns of any sizes
-            each = zip(parts, places(parts), strict=True)
-            return reduce(add, (_image(M[:, at], S) for S, at in each))
+            return reduce(add, (_image(M[:, at], S) for S, at in placed(parts)))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:

@@ -25,7 +25,7 @@ from scipy.sparse.linalg import splu
 
 from sweepopt.checks import Array
 from sweepopt.linalg import dense, row_lengths
-from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, places
+from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, placed
 from sweepopt.sets.shapes import Box
 
 # Of 600 projections on random composed sets (2 to 12 unknowns, three operations, thin and touching
@@ -82,8 +82,7 @@ class Projector:
     def __init__(self, form: Form) -> None:
         # units in which the columns of E and F are near 1, as far as parts keep their metric
         squares = row_lengths(form.rows.T) ** 2
-        each = zip(form.parts, places(form.parts), strict=True)
-        weights = np.concatenate([part.weights(squares[at]) for part, at in each])
+        weights = np.concatenate([part.weights(squares[at]) for part, at in placed(form.parts)])
         units = np.array([binary(size) for size in np.sqrt(weights).tolist()])
         self.splitting = lru_cache(16)(lambda unit: Splitting(form, unit * units))
 
@@ -138,9 +137,7 @@ class Splitting:
     def __init__(self, form: Form, units: Array) -> None:
         self.small, self.units = form.small, units
         self.smooth = form.small and all(part.differentiable for part in form.parts)
-        self.parts = [
-            (part, at, units[at]) for part, at in zip(form.parts, places(form.parts), strict=True)
-        ]
+        self.parts = [(part, at, units[at]) for part, at in placed(form.parts)]
         m, n = form.F.shape
         if self.small:
             rows = form.rows / units

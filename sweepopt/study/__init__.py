@@ -17,7 +17,7 @@ with brought_by("study"):
 from sweepopt.study.cell import machine
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
-from sweepopt.study.problems import find_source
+from sweepopt.study.problems import find_source, own_source
 from sweepopt.study.report import advice, halving, summary, write_report
 from sweepopt.study.study import Study, dask_executor, processes, read_study, read_table, run
 
@@ -30,6 +30,7 @@ __all__ = [
     "find_source",
     "halving",
     "machine",
+    "own_source",
     "processes",
     "read_study",
     "read_table",

@@ -66,8 +66,8 @@ class Cell(NamedTuple):
 
     def row(self, **results: Any) -> CellRow:
         """The cell's row with these results."""
-        name, _, _, refinements, element = self.problem
-        return CellRow(name, refinements, element, *self[1:], self.id, **results)
+        one = self.problem
+        return CellRow(one.name, one.refinements, one.element, *self[1:], self.id, **results)
 
     def failed(self, error: BaseException) -> CellRow:
         """The row of a cell that ended with an exception."""

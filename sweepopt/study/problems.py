@@ -12,11 +12,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from sweepopt import loads, sets
-from sweepopt.checks import choice
+from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, SweepoptError
+from sweepopt.integrate import fingerprint
 from sweepopt.io import find_scene, read_bytes, read_toml
-from sweepopt.problem import SweepingProcess
+from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 
 FILE = Path(__file__).with_suffix(".toml")
 
@@ -101,6 +104,8 @@ class Source(NamedTuple):
         Of the scene's mesh, beyond its own.
     element : str
         In place of the scene's own; "" is that one.
+    own : tuple of SweepingProcess and float, or None
+        A process of one's own and how long it runs; it has no path.
     """
 
     name: str
@@ -108,14 +113,15 @@ class Source(NamedTuple):
     digest: str
     refinements: int = 0
     element: str = ""
+    own: tuple[SweepingProcess, float] | None = None
 
     def __str__(self) -> str:
         return body_name(self.name, self.refinements, self.element)
 
     @property
     def small(self) -> bool:
-        """Whether it is one of PROBLEMS, which have no mesh."""
-        return self.path == str(FILE)
+        """Whether it has no mesh: one of PROBLEMS, or one's own."""
+        return self.path in (str(FILE), "")
 
 
 def find_source(name: str, folder: str | Path = ".") -> Source:
@@ -151,6 +157,37 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
     return Source(path.stem, str(path), _digest(path))
 
 
+def own_source(name: str, process: SweepingProcess | EvolutionVI, t_end: float) -> Source:
+    """A process of one's own, for the problems of a `Study` or for `compare`.
+
+    Parameters
+    ----------
+    name : str
+        What tables call it.
+    process : SweepingProcess or EvolutionVI
+    t_end : float
+        How long it runs.
+
+    Raises
+    ------
+    InputError
+        If process is none, or t_end not positive.
+
+    Examples
+    --------
+    >>> import sweepopt as so
+    >>> block = so.EvolutionVI(0.5, 2.0, load=so.Sine(3.0, period=np.pi),
+    ...                        dissipation=so.Box(-1.0, 1.0), u0=0.0)
+    >>> source = own_source("my block", block, t_end=8.0)
+    >>> str(source), source.small
+    ('my block', True)
+    """
+    t_end = number("t_end", t_end, 0.0, strict=True)
+    parts = fingerprint(sweeping(process), np.linspace(0.0, t_end, 257))
+    digest = hashlib.sha256(repr((t_end, parts)).encode()).hexdigest()[:12]
+    return Source(str(name), "", digest, own=(process, t_end))
+
+
 def body_name(name: str, refinements: int, element: str) -> str:
     """A problem's name with its mesh, such as "square P2 h/4"."""
     return " ".join(filter(None, [name, element, f"h/{2**refinements}" if refinements else ""]))
@@ -165,6 +202,8 @@ def open_source(source: Source) -> tuple[SweepingProcess, float, Any, str]:
     SweepoptError
         If the files are not those the digest was taken of.
     """
+    if source.own is not None:
+        return *source.own, None, "auto"
     path = Path(source.path)
     if _digest(path) != source.digest:
         raise SweepoptError(f"{path} is not as it was when the study started; start it again")

@@ -41,8 +41,9 @@ class Study:
 
     Parameters
     ----------
-    problems : tuple of str
-        Names of `sweepopt.study.problems`, scenes of the library, paths of scene files.
+    problems : tuple of str or Source
+        Names of `sweepopt.study.problems`, scenes of the library, paths of scene files, and
+        processes of one's own (`own_source`).
     schemes : tuple of str
     solvers : tuple of str
         Names that `sweepopt.solve` knows, or "cvxpy:NAME" for any solver installed for cvxpy.
@@ -71,7 +72,7 @@ class Study:
     12
     """
 
-    problems: tuple[str, ...]
+    problems: tuple[str | Source, ...]
     schemes: tuple[str, ...]
     solvers: tuple[str, ...]
     steps: tuple[int, ...]
@@ -122,9 +123,12 @@ class Study:
         """
         if len(self.refinements) == len(self.elements) == 1:
             return source
-        return source._replace(refinements=max(self.refinements) + 1, element=max(self.elements))
+        element = "P2" if self.elements[1:] else self.elements[0]  # "" may be P2
+        return source._replace(refinements=max(self.refinements) + 1, element=element)
 
     def _source(self, name: str, value: Any) -> Source:
+        if isinstance(value, Source):
+            return value
         path = str(as_path(name, value))
         with at_path(f"{name}: "):
             return find_source(path, self.folder)
@@ -212,10 +216,12 @@ def run(
     Raises
     ------
     InputError
-        If a problem is not there.
+        If a problem is not there, or one's own is given to an executor.
     """
     cells, done = study.runs(), set(read_table(study, folder).run)
     jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
+    if executor is not None and any(cell.problem.own for cell in cells):
+        raise InputError("executor: processes of one's own are computed here; leave it out")
     progress(f"{len(cells)} runs, {len(done)} of them finished before")
     Path(folder).mkdir(parents=True, exist_ok=True)
     for k, row in enumerate(_compute(jobs, executor), start=1):

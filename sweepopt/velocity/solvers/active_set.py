@@ -192,15 +192,15 @@ def _in_balls(L: Array, q: Array, C: Balls) -> Answer:
     whose metric is that of L R^-T, R R^T = 1 + L^T K L. Where multipliers fall their bend falls by
     no more than 4 a step: without it some steps go round in circles.
     """
-    q = q - C.center
-    w, z, bend, one = q, 0.0 * q, 0.0 * C.radii, np.eye(len(q))
-    owner = np.repeat(np.arange(len(bend)), C.block)
-    balls = (owner == np.arange(len(bend))[:, None]).astype(float)
+    q, one = q - C.center, np.eye(len(q))
+    w, z, bend = q, 0.0 * q, 0.0 * C.radii
     for _ in range(50):
-        size = np.sqrt(balls @ w**2)
-        normal = w / np.where(size > 0, size, 1.0)[owner]
-        before, G = normal * np.minimum(size, C.radii)[owner], balls * normal
-        K = np.diag(bend[owner]) - G.T @ (bend[:, None] * G)
+        arms = w.reshape(-1, C.block)
+        sizes = np.linalg.norm(arms, axis=1)
+        normals = arms / np.where(sizes > 0, sizes, 1.0)[:, None]
+        before = (normals * np.minimum(sizes, C.radii)[:, None]).ravel()
+        G = scipy.linalg.block_diag(*normals)
+        K = np.diag(np.repeat(bend, C.block)) - G.T @ (bend[:, None] * G)
         R = scipy.linalg.cholesky(one + L.T @ K @ L, lower=True)
         metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
         bent = metric.T @ (K @ (before - q))
@@ -209,7 +209,7 @@ def _in_balls(L: Array, q: Array, C: Balls) -> Answer:
             break
         x = scipy.linalg.solve_triangular(R, bent + shortest, lower=True, trans=1)
         w, z = q + L @ x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
-        if (np.abs(w - before) <= ROUNDING * C.radii[owner]).all():
+        if (np.abs(w - before) <= ROUNDING * np.repeat(C.radii, C.block)).all():
             break
         bend = np.maximum(-G @ z / C.radii, bend / 4)
     return Answer(z, iterations=1, status="solved")
