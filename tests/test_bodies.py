@@ -347,6 +347,21 @@ def test_frictions_add_and_a_node_that_two_share_counts_once():
     assert one.contact.threshold.sum() == pytest.approx(two.contact.threshold.sum())
 
 
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_friction_on_two_sides_is_the_integral_of_both_also_where_they_meet(kind, element):
+    floor, wall = Friction("bottom", 2.0), Friction("right", "3 + y")
+    block = space(kind, element=element, held={"bottom": "n"})
+    scene = body(block, [*MATERIAL, Foundation("top", 1.0), floor, wall])
+    moves, (length, height, *depth) = np.eye(block.components), KINDS[kind]
+    area = [length * np.prod(depth), height * np.prod(depth)]
+    powers = [2.0 * area[0]]  # along x the wall does not rub, along z both do
+    powers += [2.0 * area[0] + 3.5 * area[1]] if depth else []
+    for move, power in zip(moves[[0, 2] if depth else [0]], powers, strict=True):
+        v = scene.discretisation.interpolate(move.tolist())
+        assert scene.problem.dissipation.support(v) == pytest.approx(power, rel=1e-12)
+
+
 def test_a_point_force_acts_at_its_point():
     for element in ("P1", "P2"):
         scene = body(

@@ -333,7 +333,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     along, names, arc = _nodes_of(body, place)
     first = np.sort(np.unique(along, return_index=True)[1])
     node = along[first]
-    unknown = body.unknowns(node, tangential=boundary)
+    unknown = body.unknowns(node, law.on if boundary else ())
     sizes = (unknown >= 0).sum(axis=1)
     if not sizes.any():
         raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")

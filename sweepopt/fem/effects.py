@@ -412,9 +412,9 @@ class Friction(Record):
     Intervals where one component slips, discs where two do (the contact of a solid, a sheet on its
     face), balls in a volume. The bound does not depend on the normal force: in the plane and in a
     solid a run with the normal displacement free is well posed too, but the face moves across the
-    floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch. Where two boundaries
-    with friction meet under an angle and only one of them is held so, nodes of the edge rub along
-    it alone, and half a cell's friction of the other direction is lacking: an error of O(h).
+    floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch. At a corner of one
+    boundary, or of several in one effect, a node has the mean normal, which costs O(h); two effects
+    each have their own tangents there if one boundary is held along its normal.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ from sweepopt.checks import choice, count, floats, meaning
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
-from sweepopt.fem.frames import AXES, Frame, frame_of
+from sweepopt.fem.frames import AXES, Frame, frame_of, normals_at
 from sweepopt.fem.mesh import CELLS, check_mesh, nested, read_mesh, refined
 from sweepopt.io import as_path
 
@@ -288,16 +288,23 @@ class Discretisation(Brief):
         """Number of unknowns."""
         return int(self.free.size)
 
-    def unknowns(self, nodes: Indices, tangential: bool = False) -> Indices:
-        """Unknowns at nodes, -1 where there is none; without the normal ones if `tangential`.
+    def unknowns(self, nodes: Indices, tangential: Sequence[str] = ()) -> Indices:
+        """Unknowns at nodes, -1 where there is none; without those along normals of boundaries.
 
         Returns
         -------
         ndarray of int, shape (k, components)
         """
-        first = self.frame.held + (self.frame.normal if tangential else 0)
-        exists = np.arange(self.components) >= first[nodes][:, None]
-        return np.where(exists, np.searchsorted(self.free, self.nodes.T[nodes]), -1)
+        slot, first = np.arange(self.components), self.frame.held[:, None]
+        exists = slot >= first
+        if tangential and self.components > 1:
+            at, normals = normals_at(self, tangential)
+            full = np.zeros(self.nodes.size)
+            full[self.nodes[:, at]] = normals.T
+            # where boundaries meet, the direction that is turned may be a tangent of one of them
+            own = np.abs(self.frame.T.T @ full)[self.nodes.T] > 0.5
+            exists &= ~(own & self.frame.normal[:, None] & (slot == first))
+        return np.where(exists[nodes], np.searchsorted(self.free, self.nodes.T[nodes]), -1)
 
     @cached_property
     def points(self) -> Array:
