@@ -100,4 +100,4 @@ def test_every_error_and_warning_of_the_library_can_be_imported_from_it():
         for name, one in vars(so.errors).items()
         if isinstance(one, type) and issubclass(one, (so.SweepoptError, so.SweepoptWarning))
     }
-    assert kinds - {"_RunError"} <= set(so.__all__)
+    assert kinds - {"_Failure"} <= set(so.__all__)

@@ -171,12 +171,12 @@ class Solution(Displayed):
 
     @cached_property
     def u(self) -> Array:
-        """u_n at the times t, shape (k+1, dim)."""
+        """u_n at the times t, shape (k+1, dim), read-only."""
         return checks.read_only(self.states.u(slice(None)))
 
     @cached_property
     def velocity(self) -> Array:
-        """u_n' in the kept steps, shape (k, dim): (u_{i+1} - u_i) / mu of each."""
+        """u_n' in the kept steps, shape (k, dim), read-only: (u_{i+1} - u_i) / mu of each."""
         return checks.read_only(self.states.velocity(slice(None)))
 
     @cached_property
