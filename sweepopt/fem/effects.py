@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -609,8 +610,8 @@ class PrescribedDisplacement(Record):
         phi(t) as data, whose rate is known: Table, Sine, Triangle, Constant, Polynomial.
     d : number, formula, mapping of boundary to number, Profile or callable
         Displacement at phi = 1 (m); in the plane and in solids a list, one for each of x, y and z,
-        of which the components that are held are taken. Where another boundary meets these, it must
-        agree with what is held there.
+        of which the components that are held are taken. Where another boundary that is held or
+        moved meets these, it must agree with that; nodes shared with one that is clamped move.
 
     Raises
     ------
@@ -662,9 +663,11 @@ class PrescribedDisplacement(Record):
                     "or hold all of it"
                 )
         lift = np.asarray(T @ along)
+        moving = [one.on for one in body.effects if isinstance(one, PrescribedDisplacement)]
+        still = set(body.clamped or ()) - set(chain.from_iterable(moving))
         for name, nodes, directions in held_directions(body):
             moved = np.abs((directions * lift[body.nodes.T[nodes]]).sum(axis=1)).max()
-            if name not in self.on and moved > TURNED * np.abs(lift).max():
+            if name not in {*self.on, *still} and moved > TURNED * np.abs(lift).max():
                 raise InputError(
                     f"on: {', '.join(self.on)} shares nodes with {name}, which is held there "
                     f"along d; name both in one effect, or let d be functions that leave {name} "
