@@ -36,13 +36,11 @@ Judgement = tuple[dict[str, Any], dict[str, Any]]
 
 def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tuple[Any, ...]:
     """A list with one entry or more, each checked under its own name and none there twice."""
-    entries: dict[str, Any] = {}
-    for k, value in enumerate(listed(name, values)):
-        entry = check(f"{name}[{k}]", value, *limits)
-        if str(entry) in entries:
+    entries = listed(name, values, check, *limits)
+    for k, value in enumerate(values):
+        if str(entries[k]) in map(str, entries[:k]):
             raise InputError(f"{name}[{k}]: {shown(value)} is there twice")
-        entries[str(entry)] = entry
-    return tuple(entries.values())
+    return entries
 
 
 def option(suite: Callable[..., Any], where: str, key: str, value: Any) -> Any:
