@@ -166,9 +166,9 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
 
 def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
     """A and B of all degrees of freedom, of the body with nothing held or turned."""
+    own = [(one, one.contribute(space)) for one in effects]
     free = space.with_unknowns(clamped=(), held={}, turned=())
-    acting = [one for one in effects if not isinstance(one, PrescribedDisplacement)]
-    parts = [one.contribute(free) for one in acting]
+    parts = [one.contribute(free) for one, part in own if part.A is not None or part.B is not None]
     return total(parts, "A"), total(parts, "B")
 
 
@@ -969,7 +969,10 @@ def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
     """Refuse laws that differ in lam / mu: in plane stress they share the strain across it."""
     for one in body.effects:
         if hasattr(one, "moduli"):
-            lam, mu = one.moduli(body, body.whole)
+            try:
+                lam, mu = one.moduli(body, body.whole)
+            except InputError:  # of the other one, which tells it under its own name
+                continue
             if mu is not None and not np.allclose(lam / mu, ratio, rtol=1e-9):
                 raise InputError(
                     f"{name}: in plane stress viscosity, elasticity and Maxwell branches need one "

@@ -531,10 +531,13 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
 
 
 def _check_lifts(
-    space: Discretisation, labels: Iterable[str], parts: Sequence[Contribution]
+    space: Discretisation, effects: Mapping[str, Effect], parts: Sequence[Contribution]
 ) -> None:
-    """Refuse a prescribed displacement that something nonsmooth or internal would see."""
-    labelled, frame = list(zip(labels, parts, strict=True)), space.frame
+    """Refuse a prescribed displacement that something nonsmooth or internal would see.
+
+    Several of the same boundaries are terms of one; of others they would add up where they meet.
+    """
+    labelled, frame = list(zip(effects, parts, strict=True)), space.frame
     lifts = [(label, part.lift[1]) for label, part in labelled if part.lift is not None]
     for name, d in lifts:
         for label, part in labelled:
@@ -556,7 +559,8 @@ def _check_lifts(
                     )
     held = [(name, np.abs(frame.T.T @ d) > TURNED * np.abs(d).max()) for name, d in lifts]
     for (name, one), (label, other) in combinations(held, 2):
-        if (one & other).any() and (one != other).any():
+        places = [getattr(effects[k], "on", k) for k in (name, label)]
+        if (one & other).any() and places[0] != places[1]:
             raise InputError(
                 f"{name} and {label} meet at a node, which would move by their sum; name their "
                 "boundaries in one, or let one of them be 0 there"
