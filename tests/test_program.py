@@ -84,6 +84,19 @@ def test_the_active_set_method_meets_balls_wherever_they_are(C):
     assert found.relative <= 1e-9
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize("seed", [630, 658])
+def test_boxes_beside_discs_are_met_across_jumps_of_stiffness(seed):
+    rng = np.random.default_rng(seed)
+    box = so.Box(-np.ones(4), 10 ** rng.uniform(-3, 3, 4))
+    C = so.product(box, so.Balls(10 ** rng.uniform(-3, 3, 3), 2))
+    k = 10 ** rng.uniform(0, 8, 11)
+    A = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+    pull = 10 * rng.normal(size=10) * np.abs(C.project(np.full(10, 1e9)))
+    moving = so.Moving(C, so.Separable([(so.Sine(1.0, 2.0), pull)]))
+    assert so.solve(so.SweepingProcess(A, None, moving, np.zeros(10)), t_end=1.0, steps=2).success
+
+
 @settings(derandomize=True, deadline=None, max_examples=100)
 @given(seed=st.integers(0, 10**6), noise=st.floats(-12, 1))
 def test_the_certificate_is_never_below_the_error_of_any_answer(seed, noise):
