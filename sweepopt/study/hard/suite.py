@@ -37,10 +37,9 @@ Judgement = tuple[dict[str, Any], dict[str, Any]]
 def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tuple[Any, ...]:
     """A list with one entry or more, each checked under its own name and none there twice."""
     entries: dict[str, Any] = {}
-    for k, value in enumerate(listed(name, values)):
-        entry = check(f"{name}[{k}]", value, *limits)
+    for k, entry in enumerate(listed(name, values, check, *limits)):
         if str(entry) in entries:
-            raise InputError(f"{name}[{k}]: {shown(value)} is there twice")
+            raise InputError(f"{name}[{k}]: {shown(values[k])} is there twice")
         entries[str(entry)] = entry
     return tuple(entries.values())
 

@@ -220,8 +220,9 @@ def _balls(C: ConvexSet) -> tuple[Array | float, Array] | None:
     if isinstance(C, Similar) and (balls := _balls(C.parts[0])) is not None:
         center, radii = balls
         return C.factor * center + (0.0 if C.v is None else C.v), abs(C.factor) * radii
-    known = isinstance(C, Balls) and C.block > 1 and C.radii.all()
-    return (C.center, C.radii) if known else None
+    if not isinstance(C, Balls) or C.block == 1 or not C.radii.all():
+        return None
+    return C.center, C.radii
 
 
 def _rows(C: ConvexSet) -> tuple[Array, Array] | None:
