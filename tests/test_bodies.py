@@ -1,6 +1,6 @@
 """Bodies of every kind with effects that compose: exact solutions and laws, limits, bad input."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import meshio
 import numpy as np
@@ -712,6 +712,46 @@ def test_a_boundary_with_the_name_of_a_subdomain_is_pulled_and_held_as_any_other
     assert np.array_equal(*(body(one, [MATERIAL[0], hold]).lifts[0][1] for one in ends))
     with pytest.raises(so.InputError, match="on: 'right' is a boundary and a subdomain"):
         body(ends[1], [MATERIAL[0], Friction("right", g=1.0)])
+
+
+def test_a_prescribed_displacement_goes_with_a_contact_that_is_bonded():
+    sides = {"top": "y", "bottom": "y"}
+    block = Discretisation(grid([1.0, 1.0], [2, 2]), "left", kind="plane strain", held=sides)
+    lift = PrescribedDisplacement("top", so.Sine(1.0, period=4.0), d=[0.0, 1.0])
+    scene = body(block, [*MATERIAL, lift, Friction("bottom", g=np.inf)], t_end=1.0, steps=2)
+    at_bottom = scene.contact.unknown
+    solution = scene.solve(on_unstable="ignore")
+    assert solution.velocity.any()
+    assert (solution.velocity[:, at_bottom] == 0.0).all()
+
+
+def test_an_invalid_modulus_in_plane_stress_is_told_under_its_own_name():
+    sheet = Discretisation(grid([1.0, 1.0], [2, 2]), "left", kind="plane stress")
+    with pytest.raises(so.InputError, match=r"^effects\[1\].E.* must be > 0"):
+        body(sheet, [Viscosity(eta=1.0), Elasticity(E="x - 0.5", nu=0.3)])
+
+
+def test_a_contact_of_ones_own_may_name_one_unknown_for_each_node():
+    @dataclass(frozen=True)
+    class Own:
+        law: Friction
+
+        def contribute(self, body):
+            part = self.law.contribute(body)
+            (one,) = part.yields
+            contact = replace(one.contact, unknown=one.contact.unknown.max(axis=1))
+            return replace(part, yields=[replace(one, contact=contact)])
+
+    rubs = Friction("bottom", g=0.1)
+    pull = Traction("right", so.Sine(1.0, period=4.0), f2=1.0)
+    square = Discretisation(grid([1.0, 1.0], [2, 2]), "left")
+    slips = []
+    for law in (rubs, Own(rubs)):
+        scene = body(square, [Viscosity(1.0), pull, law], t_end=1.0, steps=4)
+        slips.append(slip_of(scene, scene.solve()))
+    assert slips[0].velocity.any()
+    assert np.array_equal(slips[0].velocity, slips[1].velocity)
+    assert np.array_equal(slips[0].contact.node, slips[1].contact.node)
 
 
 def test_a_force_on_a_point_that_is_clamped_is_refused():

@@ -64,6 +64,39 @@ def test_every_solver_finds_the_exact_velocity_within_its_certificate(solver, sc
         assert ((found.z == 0) == (exact == 0)).all()
 
 
+@pytest.mark.parametrize(
+    "C",
+    [
+        so.Balls([1.0, 3.0], 2),
+        -0.5 * so.Balls([1.0, 3.0], 2) + np.arange(4.0),
+        2.0 * so.Ball([1.0, 0.0, -1.0, 0.5], 2.0) + np.ones(4),
+        so.Balls([1.0, 0.0, 2.0, 1.0], 1),
+    ],
+    ids=["balls", "balls moved and scaled", "a ball moved and scaled", "intervals and a point"],
+)
+def test_the_active_set_method_meets_balls_wherever_they_are(C):
+    rng = np.random.default_rng(5)
+    root = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    M = root * np.geomspace(1e-4, 1e4, 4) @ root.T
+    assert so.ActiveSet().treats(C)
+    found = solved(so.ActiveSet(), (M + M.T) / 2, 9 * rng.normal(size=4), C)
+    assert found.z.any()
+    assert found.relative <= 1e-9
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize("seed", [630, 658])
+def test_boxes_beside_discs_are_met_across_jumps_of_stiffness(seed):
+    rng = np.random.default_rng(seed)
+    box = so.Box(-np.ones(4), 10 ** rng.uniform(-3, 3, 4))
+    C = so.product(box, so.Balls(10 ** rng.uniform(-3, 3, 3), 2))
+    k = 10 ** rng.uniform(0, 8, 11)
+    A = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+    pull = 10 * rng.normal(size=10) * np.abs(C.project(np.full(10, 1e9)))
+    moving = so.Moving(C, so.Separable([(so.Sine(1.0, 2.0), pull)]))
+    assert so.solve(so.SweepingProcess(A, None, moving, np.zeros(10)), t_end=1.0, steps=2).success
+
+
 @settings(derandomize=True, deadline=None, max_examples=100)
 @given(seed=st.integers(0, 10**6), noise=st.floats(-12, 1))
 def test_the_certificate_is_never_below_the_error_of_any_answer(seed, noise):

@@ -96,6 +96,16 @@ def test_a_file_holds_what_memory_would(path, tmp_path, monkeypatch):
         assert np.array_equal(dataset.u, whole.u)
 
 
+def test_a_dataset_can_be_changed_and_its_solution_cannot():
+    sol = so.solve(slider(), t_end=1.0, steps=4)
+    data = sol.to_xarray()
+    data["u"] *= 1e3
+    assert np.array_equal(data.u, 1e3 * sol.u)
+    for states in (sol.u, sol.velocity):
+        with pytest.raises(ValueError, match="read-only"):
+            states[-1] += 1.0
+
+
 @pytest.mark.parametrize("save", [None, 3])
 def test_a_solution_is_loaded_as_it_was_saved(save, tmp_path):
     sol = run("eliminated", save=save)

@@ -262,34 +262,34 @@ class Contact(Brief):
 
 
 def merged(contacts: Sequence[Contact]) -> Contact | None:
-    """All nodes with friction of a scene; a node that two share counts once, with both weights.
-
-    Those of each effect have a row of unknowns for each node.
-    """
+    """All nodes with friction of a scene; a node that two share counts once, with both weights."""
     if not contacts:
         return None
 
     def joined(name: str) -> Any:
         return np.concatenate([getattr(one, name) for one in contacts])
 
-    keep, owner = _owners(contacts)
+    unknown, keep, owner = _owners(contacts)
     sums = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
     weight, threshold = (one.astype(float) for one in sums)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
-    unknown = joined("unknown")[keep]
+    unknown = unknown[keep]
     if (unknown >= 0).sum(axis=1).max() == 1:
         unknown = unknown.max(axis=1)
     return Contact(unknown, node, points, boundary, arc[keep], weight, threshold)
 
 
-def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices]:
-    """The first node with each row of unknowns, and at which of these each node is."""
-    rows = np.vstack([one.unknown for one in contacts])
-    _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
+    """A row of unknowns for each node, the first nodes with each, and at which of these all are."""
+    rows = [one.unknown.reshape(len(one), -1) for one in contacts]
+    width = max(row.shape[1] for row in rows)
+    gaps = [((0, 0), (0, width - row.shape[1])) for row in rows]
+    every = np.vstack([np.pad(*one, constant_values=-1) for one in zip(rows, gaps, strict=True)])
+    _, first, group = np.unique(every, axis=0, return_index=True, return_inverse=True)
     keep = np.sort(first)
-    return keep, np.searchsorted(keep, first[group.ravel()])
+    return every, keep, np.searchsorted(keep, first[group.ravel()])
 
 
 def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
@@ -536,7 +536,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
     rubbing = [one for one in scene.yields if one.contact is not None]
-    keep, owner = _owners([part for one in rubbing if (part := one.contact)])
+    _, keep, owner = _owners([part for one in rubbing if (part := one.contact)])
     force, sizes, radii = [], [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z

@@ -168,9 +168,13 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
 
 def released(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any, list[Force]]:
     """A, B and loads of all degrees of freedom, of the body with nothing held or turned."""
+    own = [(one, one.contribute(space)) for one in effects]
     free = space.with_unknowns(clamped=(), held={}, turned=())
-    acting = [one for one in effects if not isinstance(one, PrescribedDisplacement)]
-    parts = [one.contribute(free) for one in acting]
+    parts = [
+        one.contribute(free)
+        for one, part in own
+        if part.A is not None or part.B is not None or part.loads
+    ]
     return total(parts, "A"), total(parts, "B"), [load for part in parts for load in part.loads]
 
 
@@ -987,7 +991,10 @@ def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
     """Refuse laws that differ in lam / mu: in plane stress they share the strain across it."""
     for one in body.effects:
         if hasattr(one, "moduli"):
-            lam, mu = one.moduli(body, body.whole)
+            try:
+                lam, mu = one.moduli(body, body.whole)
+            except InputError:  # of the other one, which tells it under its own name
+                continue
             if mu is not None and not np.allclose(lam / mu, ratio, rtol=1e-9):
                 raise InputError(
                     f"{name}: in plane stress viscosity, elasticity and Maxwell branches need one "

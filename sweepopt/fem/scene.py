@@ -529,10 +529,13 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
 
 
 def _check_lifts(
-    space: Discretisation, labels: Iterable[str], parts: Sequence[Contribution]
+    space: Discretisation, effects: Mapping[str, Effect], parts: Sequence[Contribution]
 ) -> None:
-    """Refuse a prescribed displacement that something nonsmooth or internal would see."""
-    labelled, frame = list(zip(labels, parts, strict=True)), space.frame
+    """Refuse a prescribed displacement that something nonsmooth or internal would see.
+
+    Several of the same boundaries are terms of one; of others they would add up where they meet.
+    """
+    labelled, frame = list(zip(effects, parts, strict=True)), space.frame
     lifts = [(label, part.lift[1]) for label, part in labelled if part.lift is not None]
     for name, d in lifts:
         for label, part in labelled:

@@ -498,7 +498,7 @@ class Solution(Displayed):
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
-        return to_xarray(self)
+        return to_xarray(self).copy(deep=True)  # which can be changed, as u cannot
 
     @checks.with_checks
     def save(self, path: str | PathLike[str]) -> None:
@@ -506,7 +506,7 @@ class Solution(Displayed):
         file = writable("path", path)
         if file.suffix != ".nc":
             raise InputError(f"path is {shown(str(path))}; a NetCDF file must end with .nc")
-        put(file, netcdf_bytes(self.to_xarray()))
+        put(file, netcdf_bytes(to_xarray(self)))
 
     @classmethod
     @checks.with_checks

@@ -160,6 +160,10 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
 def own_source(name: str, process: SweepingProcess | EvolutionVI, t_end: float) -> Source:
     """A process of one's own, for the problems of a `Study` or for `compare`.
 
+    Finished runs of a study are taken from its folder where the process is the same: its data, and
+    the values of its functions at 257 times, with u = u0. Give another name to a process that
+    differs elsewhere.
+
     Parameters
     ----------
     name : str

@@ -32,6 +32,7 @@ from sweepopt.sets import (
     ConvexSet,
     NoHalfspacesError,
     Polytope,
+    Similar,
     binary,
     least_distance,
     shape_of,
@@ -137,11 +138,9 @@ class ActiveSet(Small):
         """Whether C is small and its rows are known; those of a polytope wait until they count."""
         if C.dim > self.max_dim:
             return False
-        if isinstance(C, Balls):
-            return bool(C.radii.all())
         if isinstance(shape_of(C), Polytope):
             return C.dim <= HULL
-        return C.polyhedral and _rows(C) is not None
+        return _balls(C) is not None or (C.polyhedral and _rows(C) is not None)
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Factorise M once; a call starts from no active rows."""
@@ -150,10 +149,11 @@ class ActiveSet(Small):
 
         def solve(q: Array, C: ConvexSet) -> Answer:
             z, corrected = np.zeros_like(q), q
-            # C has points and M is positive definite: where that is not seen it is rounding
-            with contextlib.suppress(EmptySetError, scipy.linalg.LinAlgError):
-                if isinstance(C, Balls):
-                    return _in_balls(lower(), q, C)
+            # C has points and M is positive definite: where that is not seen it is rounding, and
+            # numbers that are not finite are ValueErrors
+            with contextlib.suppress(EmptySetError, ValueError):
+                if (balls := _balls(C)) is not None:
+                    return _in_balls(lower(), q, *balls)
                 rows = _rows(C)
                 if rows is None:  # a polytope that is flat to rounding
                     return Answer(z, status="failed: no rows")
@@ -181,7 +181,7 @@ def _shortest(L: Array, q: Array, G: Array, h: Array) -> Array | None:
     return None if shortest is None else shortest.u
 
 
-def _in_balls(L: Array, q: Array, C: Balls) -> Answer:
+def _in_balls(L: Array, q: Array, center: Array | float, radii: Array) -> Answer:
     """For balls: sequential quadratic programming.
 
     At a point w_k of C half-spaces <n, w> <= r touch the balls, and their multipliers y bend the
@@ -192,27 +192,37 @@ def _in_balls(L: Array, q: Array, C: Balls) -> Answer:
     whose metric is that of L R^-T, R R^T = 1 + L^T K L. Where multipliers fall their bend falls by
     no more than 4 a step: without it some steps go round in circles.
     """
-    q, one = q - C.center, np.eye(len(q))
-    w, z, bend = q, 0.0 * q, 0.0 * C.radii
+    q, one, block = q - center, np.eye(len(q)), len(q) // len(radii)
+    w, z, bend = q, 0.0 * q, 0.0 * radii
     for _ in range(50):
-        arms = w.reshape(-1, C.block)
+        arms = w.reshape(-1, block)
         sizes = np.linalg.norm(arms, axis=1)
         normals = arms / np.where(sizes > 0, sizes, 1.0)[:, None]
-        before = (normals * np.minimum(sizes, C.radii)[:, None]).ravel()
+        before = (normals * np.minimum(sizes, radii)[:, None]).ravel()
         G = scipy.linalg.block_diag(*normals)
-        K = np.diag(np.repeat(bend, C.block)) - G.T @ (bend[:, None] * G)
+        K = np.diag(np.repeat(bend, block)) - G.T @ (bend[:, None] * G)
         R = scipy.linalg.cholesky(one + L.T @ K @ L, lower=True)
         metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
         bent = metric.T @ (K @ (before - q))
-        shortest = _shortest(metric, q + metric @ bent, G, C.radii)
+        shortest = _shortest(metric, q + metric @ bent, G, radii)
         if shortest is None:
             break
         x = scipy.linalg.solve_triangular(R, bent + shortest, lower=True, trans=1)
         w, z = q + L @ x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
-        if (np.abs(w - before) <= ROUNDING * np.repeat(C.radii, C.block)).all():
+        if (np.abs(w - before) <= ROUNDING * np.repeat(radii, block)).all():
             break
-        bend = np.maximum(-G @ z / C.radii, bend / 4)
+        bend = np.maximum(-G @ z / radii, bend / 4)
     return Answer(z, iterations=1, status="solved")
+
+
+def _balls(C: ConvexSet) -> tuple[Array | float, Array] | None:
+    """Centres and radii of balls that are no intervals and no points, also moved and scaled."""
+    if isinstance(C, Similar) and (balls := _balls(C.parts[0])) is not None:
+        center, radii = balls
+        return C.factor * center + (0.0 if C.v is None else C.v), abs(C.factor) * radii
+    if not isinstance(C, Balls) or C.block == 1 or not C.radii.all():
+        return None
+    return C.center, C.radii
 
 
 def _rows(C: ConvexSet) -> tuple[Array, Array] | None:
