@@ -152,6 +152,8 @@ def test_a_process_of_ones_own_is_a_problem_like_those_of_the_library(tmp_path):
     other = own_source("mine", known.process(), 0.5 * known.t_end)
     assert run(replace(SMALL, problems=(mine,)), tmp_path).run.isin(table.run).all()
     assert not run(replace(SMALL, problems=(other,)), tmp_path).run.isin(table.run).any()
+    with pytest.raises(so.InputError, match=r"^problems\[0\]: a process is given as own_source"):
+        replace(SMALL, problems=(known.process(),))
     with pytest.raises(so.InputError, match="executor: processes of one's own"):
         run(replace(SMALL, problems=(mine,)), tmp_path, executor=processes(1))
 

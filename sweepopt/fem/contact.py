@@ -224,9 +224,9 @@ class Contact(Brief):
         Name of the boundary or subdomain it is on.
     arc : ndarray, shape (m,)
         Arc length along the boundaries, one after the other; nan where there is no curve.
-    weight, threshold : ndarray, shape (m,)
-        w_k (a length, an area or a volume) and the friction forces w_k g_k at which the nodes slip,
-        of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound that moves that at the start.
+    weight, bound : ndarray, shape (m,)
+        w_k (a length, an area or a volume) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound
+        that moves that at the start.
     """
 
     unknown: Indices
@@ -235,15 +235,15 @@ class Contact(Brief):
     boundary: NDArray[np.str_]
     arc: Array
     weight: Array
-    threshold: Array
+    bound: Array
 
     def __len__(self) -> int:
         return int(self.unknown.shape[0])
 
     @property
-    def bound(self) -> Array:
-        """g_k, shape (m,)."""
-        return self.threshold / self.weight
+    def threshold(self) -> Array:
+        """Friction forces ``w_k g_k`` at which the nodes slip, shape (m,)."""
+        return self.weight * self.bound
 
     @property
     def shares(self) -> Array:
@@ -278,7 +278,7 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     unknown = unknown[keep]
     if (unknown >= 0).sum(axis=1).max() == 1:
         unknown = unknown.max(axis=1)
-    return Contact(unknown, node, points, boundary, arc[keep], weight, threshold)
+    return Contact(unknown, node, points, boundary, arc[keep], weight, threshold / weight)
 
 
 def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
@@ -346,7 +346,9 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         bound = threshold[k] / weight[k]
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
-        contact = Contact(some, k, body.points[k], names[at], arc[at], weight[k], at_start[k])
+        contact = Contact(
+            some, k, body.points[k], names[at], arc[at], weight[k], at_start[k] / weight[k]
+        )
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
         metric = None

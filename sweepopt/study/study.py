@@ -27,6 +27,7 @@ from sweepopt.checks import at_path, choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
+from sweepopt.problem import SweepingProcess
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES, each, option
 from sweepopt.study.problems import Source, find_source
@@ -129,6 +130,8 @@ class Study:
     def _source(self, name: str, value: Any) -> Source:
         if isinstance(value, Source):
             return value
+        if isinstance(value, SweepingProcess):
+            raise InputError(f"{name}: a process is given as own_source(name, process, t_end)")
         path = str(as_path(name, value))
         with at_path(f"{name}: "):
             return find_source(path, self.folder)
