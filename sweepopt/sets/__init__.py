@@ -13,6 +13,7 @@ from sweepopt.sets.base import (
     Selection,
     binary,
     exchanged,
+    placed,
     same_array,
 )
 from sweepopt.sets.constraints import Constraints

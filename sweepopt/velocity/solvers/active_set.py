@@ -18,6 +18,7 @@ import contextlib
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -28,13 +29,14 @@ from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
     HULL,
     ROUNDING,
+    Aligned,
     Balls,
     ConvexSet,
     NoHalfspacesError,
     Polytope,
-    Similar,
     binary,
     least_distance,
+    placed,
     shape_of,
 )
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
@@ -140,93 +142,108 @@ class ActiveSet(Small):
             return False
         if isinstance(shape_of(C), Polytope):
             return C.dim <= HULL
-        return _balls(C) is not None or (C.polyhedral and _rows(C) is not None)
+        return _touching(C, np.zeros(C.dim)) is not None
 
     def compile(self, program: VelocityProgram) -> Solve:
-        """Factorise M once; a call starts from no active rows."""
+        """Factorise M once; a call starts from no active rows.
+
+        Balls are met by sequential quadratic programming: at a point w_k of C half-spaces touch
+        them, and their multipliers y bend the objective along the spheres:
+
+            min |w - q|^2_{M^-1} + |w - w_k|^2_K,    K = (y / r) (1 - n n^T) for each ball,
+
+        whose metric is that of L R^-T, R R^T = 1 + L^T K L. Where multipliers fall their bend falls
+        by no more than 4 a step: without it some steps go round in circles.
+        """
         M = program.M
         lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
         def solve(q: Array, C: ConvexSet) -> Answer:
-            z, corrected = np.zeros_like(q), q
+            z, w, corrected, bend = np.zeros_like(q), q, q, None
             # C has points and M is positive definite: where that is not seen it is rounding, and
             # numbers that are not finite are ValueErrors
             with contextlib.suppress(EmptySetError, ValueError):
-                if (balls := _balls(C)) is not None:
-                    return _in_balls(lower(), q, *balls)
-                rows = _rows(C)
-                if rows is None:  # a polytope that is flat to rounding
-                    return Answer(z, status="failed: no rows")
                 # three refinements of what L rounds: without them polyhedra beside jumps of 1e8
                 # are not met
-                for _ in range(4):
-                    L, shortest = lower(), _shortest(lower(), corrected, *rows)
+                for _ in range(4 if C.polyhedral else 50):
+                    touching = _touching(C, w)
+                    if touching is None:  # a polytope that is flat to rounding
+                        return Answer(z, status="failed: no rows")
+                    G, h, curvature, blocks, before = touching
+                    bend = 0 * h if bend is None else bend
+                    L, one = lower(), np.eye(q.size)
+                    tangent = one - G.T @ ((curvature > 0)[:, None] * G)
+                    root = np.sqrt(bend @ blocks)[:, None] * tangent  # K = root^T root
+                    R = scipy.linalg.qr(np.vstack([one, root @ L]), mode="r")[0][: q.size].T
+                    metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
+                    bent = (root @ metric).T @ (root @ (before - corrected))
+                    center = corrected + metric @ bent
+                    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(center))
+                    shortest = least_distance(G @ metric, h - G @ center, rounding)
                     if shortest is None:
                         break
-                    z = scipy.linalg.solve_triangular(L, shortest, lower=True, trans=1)
+                    x = scipy.linalg.solve_triangular(R, bent + shortest.u, lower=True, trans=1)
+                    z = scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
+                    w = corrected + L @ x
                     rounded = M.rounding(z, euclidean(q / M.root))
-                    if rounded <= NEGLIGIBLE * euclidean(shortest):
+                    if rounded > NEGLIGIBLE * euclidean(x):
+                        # what L L^T misses of M goes to the linear term
+                        corrected = M.precisely(z, q, -(L @ (L.T @ z)))
+                    elif (np.abs(w - before) * (curvature @ blocks) <= ROUNDING).all():
                         break
-                    # what L L^T misses of M goes to the linear term
-                    corrected = M.precisely(z, q, -(L @ (L.T @ z)))
+                    bend = np.maximum(-(G @ z) * curvature, bend / 4)
             return Answer(z, iterations=1, status="solved")
 
         return solve
 
 
-def _shortest(L: Array, q: Array, G: Array, h: Array) -> Array | None:
-    """The shortest x with G (q + L x) <= h."""
-    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(q))
-    shortest = least_distance(G @ L, h - G @ q, rounding)
-    return None if shortest is None else shortest.u
+class Touching(NamedTuple):
+    """Half-spaces G w <= h that touch a set at a point of it.
 
-
-def _in_balls(L: Array, q: Array, center: Array | float, radii: Array) -> Answer:
-    """For balls: sequential quadratic programming.
-
-    At a point w_k of C half-spaces <n, w> <= r touch the balls, and their multipliers y bend the
-    objective along the spheres:
-
-        min |w - q|^2_{M^-1} + |w - w_k|^2_K,    K = (y / r) (1 - n n^T) for each ball,
-
-    whose metric is that of L R^-T, R R^T = 1 + L^T K L. Where multipliers fall their bend falls by
-    no more than 4 a step: without it some steps go round in circles.
+    Attributes
+    ----------
+    curvature : ndarray, shape (m,)
+        1 / r where a row touches a ball, 0 of faces.
+    blocks : ndarray, shape (m, dim)
+        1 at the unknowns of the ball, 0 of faces.
+    point : ndarray, shape (dim,)
+        Any where there are faces.
     """
-    q, one, block = q - center, np.eye(len(q)), len(q) // len(radii)
-    w, z, bend = q, 0.0 * q, 0.0 * radii
-    for _ in range(50):
-        arms = w.reshape(-1, block)
+
+    G: Array
+    h: Array
+    curvature: Array
+    blocks: Array
+    point: Array
+
+
+def _touching(C: ConvexSet, w: Array) -> Touching | None:
+    """Those at the point next to w; None if not all rows are known."""
+    if isinstance(C, Balls) and C.block > 1 and C.radii.all():
+        arms = (w - C.center).reshape(-1, C.block)
         sizes = np.linalg.norm(arms, axis=1)
         normals = arms / np.where(sizes > 0, sizes, 1.0)[:, None]
-        before = (normals * np.minimum(sizes, radii)[:, None]).ravel()
-        G = scipy.linalg.block_diag(*normals)
-        K = np.diag(np.repeat(bend, block)) - G.T @ (bend[:, None] * G)
-        R = scipy.linalg.cholesky(one + L.T @ K @ L, lower=True)
-        metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
-        bent = metric.T @ (K @ (before - q))
-        shortest = _shortest(metric, q + metric @ bent, G, radii)
-        if shortest is None:
-            break
-        x = scipy.linalg.solve_triangular(R, bent + shortest, lower=True, trans=1)
-        w, z = q + L @ x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
-        if (np.abs(w - before) <= ROUNDING * np.repeat(radii, block)).all():
-            break
-        bend = np.maximum(-G @ z / radii, bend / 4)
-    return Answer(z, iterations=1, status="solved")
-
-
-def _balls(C: ConvexSet) -> tuple[Array | float, Array] | None:
-    """Centres and radii of balls that are no intervals and no points, also moved and scaled."""
-    if isinstance(C, Similar) and (balls := _balls(C.parts[0])) is not None:
-        center, radii = balls
-        return C.factor * center + (0.0 if C.v is None else C.v), abs(C.factor) * radii
-    if not isinstance(C, Balls) or C.block == 1 or not C.radii.all():
+        G, blocks = (scipy.linalg.block_diag(*x) for x in (normals, np.ones_like(normals)))
+        point = C.center + (normals * np.minimum(sizes, C.radii)[:, None]).ravel()
+        return Touching(G, C.radii + G @ (C.center + 0 * w), 1 / C.radii, blocks, point)
+    if isinstance(C, Aligned) and C.unknowns is None and not C.polyhedral:
+        v, r = 0 * w if C.v is None else C.v, C.factor
+        each = [_touching(S, (w - v)[at] / r) for S, at in placed(C.parts)]
+        if any(one is None for one in each):
+            return None
+        Gs, hs, curvatures, blocks, points = zip(*each, strict=True)
+        G = np.sign(r) * scipy.linalg.block_diag(*Gs)
+        return Touching(
+            G,
+            abs(r) * np.concatenate(hs) + G @ v,
+            np.concatenate(curvatures) / abs(r),
+            scipy.linalg.block_diag(*blocks),
+            v + r * np.concatenate(points),
+        )
+    if not C.polyhedral:
         return None
-    return C.center, C.radii
-
-
-def _rows(C: ConvexSet) -> tuple[Array, Array] | None:
     try:
-        return C.halfspaces().inequalities()
+        G, h = C.halfspaces().inequalities()
     except NoHalfspacesError:
         return None
+    return Touching(G, h, 0 * h, 0 * G, w)

@@ -5,9 +5,8 @@ generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v
 is the primal-dual active-set method: stuck entries get z = 0 at once, slipping ones solve a linear
 system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
 within one step: it stops first, or a warm start would have whole contact zones flip to and fro. The
-method may still cycle far from the solution: then each step is halved until the residual of the
-equation falls. Where that ends, another solver takes over. Where M is sparse and D has small
-blocks, so is the system.
+method may still cycle far from the solution: another solver takes over then. Where M is sparse and
+D has small blocks, so is the system.
 """
 
 import math
@@ -35,7 +34,6 @@ class Newton(Small):
     max_dim : int
         Sets whose projection couples more unknowns than this are left to the other solvers.
     max_iter : int
-        Of whole steps, and again of halved ones.
 
     Raises
     ------
@@ -84,16 +82,12 @@ class _Iteration:
         self._start: Start | None = None
 
     def __call__(self, q: Array, C: ConvexSet, start: Array | None = None) -> Answer:
-        self._z, iterations = self._z if start is None else start, 0
+        self._z = self._z if start is None else start
         near = not C.exact and C.block == C.dim and start is None
         if near:
             self._z = self._nearest(q, C)
-        for damped in (False, True):
-            # a start that is exact but for rounding may end with the first residual
-            self._z, converged, steps = self._iterate(q, C, self._z, damped, stalled=int(near))
-            iterations += steps
-            if converged:
-                break
+        # a start that is exact but for rounding may end with the first residual
+        self._z, iterations = self._iterate(q, C, self._z, stalled=int(near))
         return Answer(self._z, iterations=iterations, status="iterated")
 
     def _nearest(self, q: Array, C: ConvexSet) -> Array:
@@ -106,15 +100,12 @@ class _Iteration:
         C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
         return z
 
-    def _iterate(
-        self, q: Array, C: ConvexSet, z: Array, damped: bool, stalled: int
-    ) -> tuple[Array, bool, int]:
-        """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
+    def _iterate(self, q: Array, C: ConvexSet, z: Array, stalled: int) -> tuple[Array, int]:
+        """Newton steps from z, until it is exact to rounding: the last z, and their number."""
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest, iteration = math.inf, 0
-        start, change, share = z, np.zeros_like(z), 1.0
-        while iteration < self._max_iter:
+        smallest = math.inf
+        for iteration in range(self._max_iter):
             for enough in (math.inf, NEGLIGIBLE):
                 w, size_z = self._M.apply(z, q, enough)
                 v = w - T * z
@@ -126,12 +117,7 @@ class _Iteration:
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled):
-                return z, True, iteration
-            # discs across cells of stiffness 1 and 1e8 miss tol with steps of 1e-3 at least
-            if damped and size >= smallest and share > 1e-5:
-                share /= 2
-                z = start + share * change
-                continue
+                return z, iteration
             if not self._key or (iteration and size >= KEPT * smallest):
                 D = C.blocks(v)
                 if D is None or not self._turn(D, T):
@@ -141,9 +127,8 @@ class _Iteration:
                 following[following * z < 0] = 0.0
             if not math.isfinite(following @ following):
                 break
-            smallest, start, change, share = min(smallest, size), z, following - z, 1.0
-            z, iteration = following, iteration + 1
-        return z, False, iteration
+            smallest, z = min(smallest, size), following
+        return z, iteration
 
     def _turn(self, D: list[Blocks], T: Array) -> bool:
         """Whether there is a tangent for the derivative D."""
