@@ -603,8 +603,8 @@ class PrescribedDisplacement(Record):
     It cannot be combined with a yield stress, one-way motion, plasticity or a Maxwell branch, which
     would have to see it. Breakpoints of the history should be ends of steps. Of the energies of a
     run only that lost by friction is known, as what is held is no unknown; the others are nan.
-    Pictures draw the force on the body along d, positive in its direction, <d, A u' + B u> / |d|
-    with |d| the largest length.
+    Pictures draw the force on the body along d, positive in its direction,
+    <d, A u' + B u - f> / |d| with |d| the largest length.
 
     Parameters
     ----------
@@ -995,7 +995,7 @@ def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
                 lam, mu = one.moduli(body, body.whole)
             except InputError:  # of the other one, which tells it under its own name
                 continue
-            if mu is not None and not np.allclose(lam / mu, ratio, rtol=1e-9):
+            if mu is not None and not np.allclose(lam / mu, ratio, rtol=1e-9):  # formulas round
                 raise InputError(
                     f"{name}: in plane stress viscosity, elasticity and Maxwell branches need one "
                     "Poisson's ratio, as the strain across the plane follows from all of them, and "
