@@ -344,9 +344,7 @@ def _guaranteed_bound(solution: Solution) -> ErrorBound:
     bound = solution._bound  # without the warning
     if not bound.guaranteed:
         raise InputError(
-            "error= needs a guaranteed bound: "
-            f"{bound.reason.removesuffix(', or give variation=')}; or take "
-            "sol.error_bound() of a run without error="
+            f"error= needs a guaranteed bound: {bound.reason}; leave error= out for a sampled one"
         )
     return bound
 

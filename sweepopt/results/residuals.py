@@ -231,7 +231,7 @@ def _unknown(C: AnySet, data: Motion) -> str:
     if not data.summands:
         known = all(hasattr(phi, "variation") for phi in histories_of(C, inside=False))
         kind = "made of sets that move separately" if known else "a function of time"
-        return f"C(t) is {kind}: write it as a Moving set, or give variation="
+        return f"C(t) is {kind}: write it as a Moving set, or take error_bound(variation=)"
     parts = [(data.name, data.offsets or data.center)]
     summands: Any = data.summands
     for scale, S in summands:
@@ -245,7 +245,7 @@ def _unknown(C: AnySet, data: Motion) -> str:
         if not f.bounded:
             return (
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
-                "so.Table, or give variation="
+                "so.Table, or take error_bound(variation=)"
             )
     return ""
 

@@ -159,40 +159,31 @@ class ActiveSet(Small):
         lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
         def solve(q: Array, C: ConvexSet) -> Answer:
-            z, w, corrected, bend = np.zeros_like(q), q, q, None
+            z, w, corrected, bend = np.zeros_like(q), q, q, np.zeros(1)
             # C has points and M is positive definite: where that is not seen it is rounding, and
             # numbers that are not finite are ValueErrors
             with contextlib.suppress(EmptySetError, ValueError):
                 # discs on needles take 3; in units up to 2^40 apart rounding keeps w moving
                 for k in range(50):
-                    touching = _touching(C, w)
-                    if touching is None:  # a polytope that is flat to rounding
+                    rows = _touching(C, w)
+                    if rows is None:  # a polytope that is flat to rounding
                         return Answer(z, status="failed: no rows")
-                    G, h, curvature, blocks, before = touching
-                    bend = 0 * h if bend is None else bend
-                    L, one = lower(), np.eye(q.size)
-                    tangent = one - G.T @ ((curvature > 0)[:, None] * G)
-                    root = np.sqrt(bend @ blocks)[:, None] * tangent  # K = root^T root
-                    R = scipy.linalg.qr(np.vstack([one, root @ L]), mode="r")[0][: q.size].T
-                    metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
-                    bent = (root @ metric).T @ (root @ (before - corrected))
-                    center = corrected + metric @ bent
-                    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(center))
-                    shortest = least_distance(G @ metric, h - G @ center, rounding)
+                    L = lower()
+                    shortest = _shortest(L, rows, bend + 0 * rows.h, corrected)
                     if shortest is None:
                         break
-                    x = scipy.linalg.solve_triangular(R, bent + shortest.u, lower=True, trans=1)
-                    z = scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
+                    x, z = shortest
                     w = corrected + L @ x
                     rounded = M.rounding(z, euclidean(q / M.root))
-                    stays = (np.abs(w - before) * (curvature @ blocks) <= ROUNDING).all()
+                    curved = rows.curvature @ rows.blocks
+                    stays = (np.abs(w - rows.point) * curved <= ROUNDING).all()
                     # three refinements of what L rounds: without them polyhedra beside jumps of
                     # 1e8 are not met
                     if stays and (k >= 3 or rounded <= NEGLIGIBLE * euclidean(x)):
                         break
                     # what L L^T misses of M goes to the linear term
                     corrected = M.precisely(z, q, -(L @ (L.T @ z)))
-                    bend = np.maximum(-(G @ z) * curvature, bend / 4)
+                    bend = np.maximum(-(rows.G @ z) * rows.curvature, bend / 4)
             return Answer(z, iterations=1, status="solved")
 
         return solve
@@ -216,6 +207,24 @@ class Touching(NamedTuple):
     curvature: Array
     blocks: Array
     point: Array
+
+
+def _shortest(L: Array, rows: Touching, bend: Array, q: Array) -> tuple[Array, Array] | None:
+    """x with the bent objective's w = q + L x, and z = L^-T x; None if no w is seen."""
+    G, h, curvature, blocks, point = rows
+    one = np.eye(q.size)
+    tangent = one - G.T @ ((curvature > 0)[:, None] * G)
+    root = np.sqrt(bend @ blocks)[:, None] * tangent  # K = root^T root
+    R = scipy.linalg.qr(np.vstack([one, root @ L]), mode="r")[0][: q.size].T
+    metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
+    bent = (root @ metric).T @ (root @ (point - q))
+    center = q + metric @ bent
+    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(center))
+    shortest = least_distance(G @ metric, h - G @ center, rounding)
+    if shortest is None:
+        return None
+    x = scipy.linalg.solve_triangular(R, bent + shortest.u, lower=True, trans=1)
+    return x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
 
 
 def _touching(C: ConvexSet, w: Array) -> Touching | None:
