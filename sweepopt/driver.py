@@ -58,7 +58,7 @@ from sweepopt.results import ErrorBound, NetCDFSink, Solution
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
-FAR = 1e-4
+LEAST_TOL = 1e-4
 """Share of `error`: if Adaptive meets so small a tolerance and the bound is still above `error`,
 shorter steps do not help. Of 15 runs that begin in a layer of 1 / Lam, which no node sees at first,
 the one that took the smallest tolerance delivered its error at a share of 0.06."""
@@ -325,7 +325,7 @@ def _refine(
             return replace(sol, status=Status.INTERRUPTED)
         if bound <= error:
             return _with_output(run, process, asked, sol, callback, progress)
-        if not cause and (tol < FAR * error or (sol.passes[1:] and bound == math.inf)):
+        if not cause and (tol < LEAST_TOL * error or (sol.passes[1:] and bound == math.inf)):
             cause = "shorter steps do not help; ask for less"
         if cause:
             raise AccuracyError(

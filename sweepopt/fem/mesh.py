@@ -29,7 +29,7 @@ from sweepopt.fem.fields import Coefficient, Indices
 from sweepopt.io import as_path, read_bytes
 from sweepopt.linalg import EPS
 
-FLAT = 1e-10
+LEAST_AREA = 1e-10
 """A height below this share of the longest edge is rounding: at 1e-11 a matrix of P2 elements in
 thin strips is wrong by 1e-4."""
 MESHES = {
@@ -193,7 +193,7 @@ def check_mesh(mesh: skfem.Mesh) -> None:
     edges = corners[:, 1:] - corners[:, :1]
     area, longest = np.linalg.det(edges.T), np.linalg.norm(edges, axis=0).max(axis=0)
     rounding = 8 * EPS * np.abs(mesh.p).max()  # of a height, whose ends are rounded nodes
-    least = np.maximum(FLAT * longest, rounding) * longest ** (mesh.dim() - 1)
+    least = np.maximum(LEAST_AREA * longest, rounding) * longest ** (mesh.dim() - 1)
     _refuse_cells(mesh, np.abs(area) <= least, "has no area")
     if mesh.dim() != 2:
         return

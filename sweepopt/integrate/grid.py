@@ -15,11 +15,11 @@ from sweepopt.loads import Constant, History, breakpoints
 from sweepopt.problem import SweepingProcess, histories_of, motion
 from sweepopt.velocity import Plan
 
-MOST = 10**8
+MOST_STEPS = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""
-CONTRACTS = 0.8
+LARGEST_CONTRACTION = 0.8
 """By no more than this: a fixed point has ten digits after 100 iterations then."""
-FADES = 0.25
+RINGING = 0.25
 """A larger share of an error that comes back lasts for steps: sdirk2's is 0.21 at most."""
 
 
@@ -42,8 +42,8 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
                 raise
             hint = "for steps of length dt give round(t_end / dt), or the times themselves"
             raise InputError(f"{error}; {hint}") from None
-        if n > MOST:
-            raise InputError(f"steps is {shown(n)}, more than {MOST:.0e}; run it in parts")
+        if n > MOST_STEPS:
+            raise InputError(f"steps is {shown(n)}, more than {MOST_STEPS:.0e}; run it in parts")
         if end is None:
             raise InputError("t_end is missing; give it or pass the times as steps")
         return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)
@@ -128,7 +128,7 @@ def check_stability(
 
     A scheme that is explicit in u amplifies them where R < -1, and overshoots where R < 0. An
     implicit one overshoots where R < 0 if B u starts outside of C(t), and rings while C(t) moves
-    where R < -FADES; nothing of it stays where nothing sticks, or where Euler steps step in.
+    where R < -RINGING; nothing of it stays where nothing sticks, or where Euler steps step in.
     """
     scheme = plan.scheme
     if on_unstable == "ignore":
@@ -141,7 +141,7 @@ def check_stability(
     moves = any(not isinstance(phi, Constant) for phi in motion(process.C).histories)
     if scheme.euler_steps or not plan.solvers or not (outside or moves):
         return
-    if rings(process, scheme, mu, 0.0 if outside else FADES):
+    if rings(process, scheme, mu, 0.0 if outside else RINGING):
         rate = f"step * Lam = {mu * process.Lam:.3g}" if process.coercive else "A is singular"
         effect = "can overshoot into a wrong stuck state" if outside else "rings"
         warn(
@@ -153,7 +153,7 @@ def check_stability(
 
 
 def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
-    """The largest of the stages of the longest step; refused above CONTRACTS.
+    """The largest of the stages of the longest step; refused above LARGEST_CONTRACTION.
 
     Raises
     ------
@@ -162,11 +162,11 @@ def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
     """
     gamma = mu * max(row[-1] for row in scheme.a)
     theta = process.contraction(gamma)
-    if theta <= CONTRACTS:
+    if theta <= LARGEST_CONTRACTION:
         return theta
     # 2^-50 of a step is less than the times are rounded by
     halved = ((mu / 2**k, process.contraction(gamma / 2**k)) for k in range(1, 50))
-    shorter = (size for size, contracts in halved if contracts <= CONTRACTS)
+    shorter = (size for size, contracts in halved if contracts <= LARGEST_CONTRACTION)
     remedy = next(
         (f"take steps of at most {size:.3g}" for size in shorter),
         "no shorter step helps, as B u alone does not hold against it and a body without viscosity "
@@ -174,7 +174,7 @@ def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
     )
     raise UnstableStepError(
         f"C(t, u) changes so much with the state that fixed-point iteration converges slowly or "
-        f"not at all: its contraction is {theta:.3g}, not below {CONTRACTS:g}; {remedy}"
+        f"not at all: its contraction is {theta:.3g}, not below {LARGEST_CONTRACTION:g}; {remedy}"
     )
 
 

@@ -199,7 +199,7 @@ def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
 
 # ---- how far it moves ---------------------------------------------------------------------------
 
-BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
+COLUMNS = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
 EXEMPT = (Constant, Polynomial, Sine, Triangle, Slope)
 """Histories of whose jumps nobody is warned: only `Slope` has some, where the velocity of a
 prescribed motion changes."""
@@ -342,7 +342,7 @@ def _of_offsets(G: Any, metric: Factor) -> Distance:
 def _box(m: Array, metric: Factor) -> float:
     """At least |w|_{A^-1} for all |w_i| <= m_i: exact where no entry of A^-1 is negative."""
     unknowns, total = np.flatnonzero(m), 0.0
-    for block in np.array_split(unknowns, unknowns.size // BLOCK + 1):
+    for block in np.array_split(unknowns, unknowns.size // COLUMNS + 1):
         columns = np.zeros((block.size, metric.dim))
         columns[np.arange(block.size), block] = m[block]
         total += float((np.abs(metric.solve_many(columns)) @ m).sum()) if block.size else 0.0

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sweepopt.problem import SweepingProcess
 
 
-NEGLIGIBLE = 1e-3
+LEAST_SHARE = 1e-3
 """Of a number beside which a norm counts: a bound without a solve is enough where that is less.
 
 The bound of n steps grows by a share of 2e-3 sqrt(n) at most (by 0.2 % on a fault of 51,280
@@ -43,7 +43,7 @@ class Norm:
         return np.sqrt(np.maximum(squares(self._M, x), 0.0))
 
     def dual(self, w: Array, beside: Any = 0.0) -> Array:
-        """|w|_{M^-1} over the last axis; where it is NEGLIGIBLE beside a number, a bound of it.
+        """|w|_{M^-1} over the last axis; where it is negligible beside a number, a bound of it.
 
         Infinite where M has no inverse.
         """
@@ -60,7 +60,7 @@ class Norm:
         solved = np.zeros_like(family)
         if self._factor is not None:
             for k in np.argsort(-rest, axis=1).T:  # the largest of each family first
-                i = np.flatnonzero(rest[np.arange(len(k)), k] > NEGLIGIBLE * known)
+                i = np.flatnonzero(rest[np.arange(len(k)), k] > LEAST_SHARE * known)
                 if not len(i):
                     break
                 at = i, k[i]

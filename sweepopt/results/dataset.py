@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from sweepopt.results.solution import Solution
 
-BLOCK = 8e6  # bytes that wait in memory: large enough that writing them costs little
+BLOCK_BYTES = 8e6  # bytes that wait in memory: large enough that writing them costs little
 
 
 U, VELOCITY = "u_n at the kept grid times", "velocity u_n' in each kept step"
@@ -94,7 +94,7 @@ class NetCDFSink:
         self._run = self._file.attrs["run"] = uuid.uuid4().hex  # another run has another one
         self._file.attrs["unknowns_digest"] = unknowns_digest
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
-        self._most = max(int(BLOCK // (16 * u0.size)), 1)
+        self._most = max(int(BLOCK_BYTES // (16 * u0.size)), 1)
         for name, dims, words in (
             ("time", ("time",), "time"),
             ("u", ("time", "unknown"), U),

@@ -29,8 +29,8 @@ gives the smallest bound. The second run has an L-stable scheme: sdirk2, or impl
 of the body is stiff (step * lam > 10, or A = 0): errors fade within a step there, the switches
 between stick and slip decide the order of both schemes, and implicit Euler has half of the
 programs. Its grid is refined where most of the bound of |u - v| arises, which is around the
-switches, and the run is repeated, until that bound is at most SHARE of |v - u_n| or no finer grid
-pays (`_more`).
+switches, and the run is repeated, until that bound is at most COMPANION_SHARE of |v - u_n| or no
+finer grid pays (`_more`).
 w(t) = center(t) + scale(t) s(t), where s is a curve in S through projections of
 A v' + B v - beta v', less the center, or, where projections iterate, through those points of S
 with which the programs of the second run ended. beta is that of |x|_A^2 >= beta |x|^2, as
@@ -70,14 +70,14 @@ from sweepopt.results.interpolation import CURVES, Nodes, cubic, slopes_of_curve
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.velocity import Plan
 
-SUMMED = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
+SUM_ROUNDING = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
 TOL = 1e-8  # of the second run's programs: 1e-9 takes 3 times as long where diag(A) is uneven
-SHARE = 1 / 3
+COMPANION_SHARE = 1 / 3
 """The second run is not repeated if the bound of |u - v| is at most this share of |v - u_n|.
 
-The bound of the error, |u - v| + |v - u_n|, is then at most (1 + SHARE) / (1 - SHARE) = 2 times
-the error."""
-FADES = 10
+The bound of the error, |u - v| + |v - u_n|, is then at most (1 + 1/3) / (1 - 1/3) = 2 times the
+error."""
+STIFF = 10
 """If step * lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds
 with implicit Euler were 1.1 times those with sdirk2 at step * lam = 10, 1.4 times at 2, up to 4
 times at 0.5 and 9 times at 0.002."""
@@ -92,14 +92,15 @@ numbers bounds take at most 10 to 12 times as long as the run."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With the work of small bodies bounds took 13 times as long as the run for 120 unknowns,
 11 for 72, 10 for 7 (the work of others: 9, 8); with that of others 47 times for 1,056."""
-FINER = 5
+MOST_REFINEMENT = 5
 """A grid has at most so many times as many steps more than the one before: where the second run has
 the scheme of the run, |v - u_n| on the first grid tells nothing of the error, and all of WORK would
 be spent. With 3 (7) bounds were up to 1.5 times as loose (took 1.2 times as long) on 120 rows."""
-STALLS, FEW = 0.5, 0.25
-"""A bound that falls with a smaller order than STALLS, as that of noise, is not worth a finer grid,
-nor is one of which a grid with less than FEW times as many steps more would be enough: with FEW = 0
-that of the scene chain takes 17 times as long as the run, not 8, and is 1.1 times as close."""
+LEAST_ORDER, LEAST_REFINEMENT = 0.5, 0.25
+"""A bound that falls with a smaller order than that, as that of noise, is not worth a finer grid,
+nor is one of which a grid with less than a quarter of the steps more would be enough: with 0 in its
+place that of the scene chain takes 17 times as long as the run, not 8, and is 1.1 times as
+close."""
 
 
 class ErrorBound(float):
@@ -158,7 +159,7 @@ def error_bound(
     where most of the bound of |u - v| arises. Where C(t) is no data there is one pass.
     """
     norms = Norms(process)
-    stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
+    stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > STIFF
     scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
     best = "straight" if stiff else "velocities"
     kind, one_curve, by_points = _methods(process, plan)
@@ -186,7 +187,7 @@ def error_bound(
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = curves[growth.curve, np.arange(len(t) - 1)]
         nodal, distance = _distance(norms.A, nodes, v, states)
-        rounding = SUMMED * math.sqrt(len(t)) * (ends.max() + nodal.max())
+        rounding = SUM_ROUNDING * math.sqrt(len(t)) * (ends.max() + nodal.max())
         first = np.searchsorted(t, run.t[:-1])
         A = np.fmin(A, np.maximum.reduceat(distance + growth.A, first) + rounding)
         _, distance_B = _distance(norms.B, nodes, v, states)
@@ -194,7 +195,7 @@ def error_bound(
         below = nodal[1:] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
         passes.append((len(t) - 1, float(growth.A[-1])))
-        more = _more(passes, max(SHARE * distance.max(), rounding), work - moving)
+        more = _more(passes, max(COMPANION_SHARE * distance.max(), rounding), work - moving)
         if more == 0 or reason or variation is not None:
             break
         t = _refined(t, growth.shares, more)
@@ -281,13 +282,13 @@ def _more(passes: list[tuple[int, float]], goal: float, left: int) -> int:
     order = 1.0
     if max(bound, larger) < math.inf:
         order = math.log(larger / bound) / math.log(n / before)
-    if order < STALLS:
+    if order < LEAST_ORDER:
         return 0
     missing = (bound / goal) ** (1 / order) - 1 if goal > 0 else math.inf
-    if missing < FEW:
+    if missing < LEAST_REFINEMENT:
         return 0
     # the last pass that WORK allows takes what is left
-    finer = FINER * n if left > (1 + 2 * FINER) * n else left
+    finer = MOST_REFINEMENT * n if left > (1 + 2 * MOST_REFINEMENT) * n else left
     return math.ceil(min(missing * n, finer, left))
 
 

@@ -72,19 +72,19 @@ MEAN_SQUARE, MEAN = ROOTS * LOBATTO, WEIGHTS[None] @ LOBATTO
 SLOPES = ROOTS * (3 * basis(2, GAUSS) @ np.diff(TO_BERNSTEIN @ LOBATTO, axis=0))
 """Weights with which `Products.of_sum` is |r|, the mean of r and |r'| in L^2(0, 1)."""
 
-PARTS = 3
+PARTS_OF_STEP = 3
 """Parts of a step, on each of which w is a chord of a curved set. With 2 (4) parts bounds were 0.7
 (1.3) times as close and took 0.8 (1.3) times as long."""
-SETS = 8
+SETS_OF_STEP = 8
 """Sets of a function t -> C on each step: four times as many give half the bound. With 8 a bound
 takes 6 times as long as the run of a box."""
-VARIES = 8
+LEAST_STIFFNESS = 8
 """int |r'| is computed on steps with a larger step * Lam only. On others it does not make the bound
 of |e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >=
 sqrt(S) the step adds at least sqrt(8 / (step * Lam)) times as much to the bound as with int |r|^2 /
 2."""
-CLOSED = 1e-9  # of its largest: a scale counts as that, so that a closed set has a point too
-SAME = 1e-12  # relative to the largest force: points nearer than that are projected as one
+LEAST_SCALE = 1e-9  # of its largest: a scale counts as that, so that a closed set has a point too
+COINCIDENT = 1e-12  # relative to the largest force: points nearer than that are projected as one
 CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
 
 
@@ -96,7 +96,7 @@ class Residuals(NamedTuple):
     gaps, squares : ndarray
         int 2 G and int |r|^2; squares are infinite where A is singular.
     turning : ndarray
-        int |r'|, in the dual norm of B; infinite where step * Lam is at most VARIES.
+        int |r'|, in the dual norm of B; infinite where step * Lam is at most LEAST_STIFFNESS.
     size : ndarray
         sup |r|, in the same way.
     begin, end : ndarray, shape (c, n, dim)
@@ -219,7 +219,7 @@ def _points_of_several(data: Motion, times: Array, forces: Array, speed: Array) 
     known to rounding, which the projection of a point of the boundary itself is not.
     """
     sizes = np.column_stack([scale.at(times)[:, 0] for scale, _ in data.summands])
-    sizes = np.maximum(sizes, CLOSED * sizes.max(axis=0))
+    sizes = np.maximum(sizes, LEAST_SCALE * sizes.max(axis=0))
     forces = forces - data.center.at(times)
     fastest = np.linalg.norm(speed, axis=1).max(initial=0.0) or 1.0
     outside = forces - np.linalg.norm(forces, axis=1).max() / fastest * speed
@@ -265,13 +265,13 @@ def _model(
     summands = [(r, [S]) for r, S in moving.summands] if moving else []
     if moving and summands and all(r.function is None for r, _ in summands):
         sharp = members is not None or all(S.sharp_gaps for _, (S,) in summands)
-        intervals = smooth_intervals(moving, nodes.t, 1 if sharp else PARTS)
+        intervals = smooth_intervals(moving, nodes.t, 1 if sharp else PARTS_OF_STEP)
         return _Model(moving, intervals, summands, np.zeros(len(intervals.step)), members)
     process = norms.process
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
-    intervals = smooth_intervals(model.motion, nodes.t, SETS)
+    intervals = smooth_intervals(model.motion, nodes.t, SETS_OF_STEP)
     middles = 0.5 * (intervals.begin + intervals.end)
     shapes = [process.C.at(t) for t in middles.tolist()]
     halves = np.sort(np.concatenate([nodes.t[:1], middles, intervals.end]))
@@ -337,7 +337,7 @@ def _on_intervals(
     """Those of curves on intervals, each with its slopes of shape (3, dim)."""
     i, a, b = part.intervals
     h, length = nodes.t[i + 1] - nodes.t[i], b - a
-    stiff = (h * norms.Lam > VARIES) | norms.weak
+    stiff = (h * norms.Lam > LEAST_STIFFNESS) | norms.weak
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
     force = force_along(norms.process, nodes, slopes, i, theta) - part.center.values
@@ -489,7 +489,7 @@ def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Arra
     # projections one by one take most of the time, and chords lose little; where the force is in S
     # the curve is the force itself
     line = _projections(S, ends)
-    inside = (np.abs(line - ends) <= SAME * np.abs(ends).max()).all(axis=(1, 2))
+    inside = (np.abs(line - ends) <= COINCIDENT * np.abs(ends).max()).all(axis=(1, 2))
     s: Array = line[:, :1] + THIRDS[:, None] * (line[:, 1:] - line[:, :1])
     if inside.any():
         s[inside, 1:-1] = _projections(S, aim[inside, 1:-1])

@@ -23,7 +23,7 @@ from sweepopt.sets.polytope import Polytope, hull_vertices
 
 UNBOUNDED = "a sum or an image of an unbounded set; state its rows as so.Polyhedron(G, h)"
 VERTICES = 2000  # of a sum or an image: as many rows make a phase take seconds
-FLAT = 1e-12  # of a set's offsets: a smaller radius is rounding
+LEAST_RADIUS = 1e-12  # of a set's offsets: a smaller radius is rounding
 
 
 class Affine(NamedTuple):
@@ -111,10 +111,10 @@ def _corners(rows: Halfspaces) -> Array:
     if ball.x is None:
         raise NoHalfspacesError(UNBOUNDED)
     centre, radius = size * ball.x[:-1], size * ball.x[-1]
-    if radius <= FLAT * size:
+    if radius <= LEAST_RADIUS * size:
         more = real[ball.ineqlin.marginals < 0]
         return _corners(Halfspaces(N, d, np.vstack([E, dense(N)[more]]), np.append(e, d[more])))
     normals, distances, equal, _ = Polytope(A * (radius / (b - A @ centre))[:, None]).halfspaces()
-    if len(equal) or (distances <= FLAT).any():  # the centre is not inside of the polar set
+    if len(equal) or (distances <= LEAST_RADIUS).any():  # the centre is not inside of the polar set
         raise NoHalfspacesError(UNBOUNDED)
     return start + (centre + radius * normals / distances[:, None]) @ span.T

@@ -34,7 +34,7 @@ from sweepopt.errors import EmptySetError
 from sweepopt.linalg import EPS, dense, product_error, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING
 
-SAME = 4 * EPS  # of unit rows: k n is rounded once, and both lengths three times
+PARALLEL = 4 * EPS  # of unit rows: k n is rounded once, and both lengths three times
 DEPENDENT = 1e-14  # the part of a row outside of the span of others that is rounding
 EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 
@@ -241,7 +241,7 @@ def _multiples(x: Array, y: Array) -> bool:
     return bool(equal.all())
 
 
-def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
+def parallel_rows(R: Any, rounding: float = PARALLEL) -> Parallel:
     """The pairs among unit rows, dense or sparse; rows of zeros are in none.
 
     They differ by no more than the rounding of a multiple of a row.

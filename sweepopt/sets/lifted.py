@@ -52,7 +52,7 @@ TENSION = 1e3
 TENSION_EXACT = 1e6
 
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
-FAR = 2.0**200
+REMOTE = 2.0**200
 AHEAD = 1e3  # times the size of C & D: how far along p the point is that is projected
 
 
@@ -238,8 +238,8 @@ class Lifted(ConvexSet):
         p = near.splitting.normal(near)
         if not self._cut and np.isinf(self.support(p)):
             # the rounding of v has left the domain of sigma, where all p - P_{rC}(p) are
-            far = self._projection(FAR * p)
-            p = far.splitting.normal(far) / FAR if far.exact else p
+            far = self._projection(REMOTE * p)
+            p = far.splitting.normal(far) / REMOTE if far.exact else p
         size = np.abs(p).max()
         noise = np.abs(p) <= ROUNDING * (size if size > ROUNDING * np.abs(v).max() else np.inf)
         clean = np.where(noise, 0.0, p)

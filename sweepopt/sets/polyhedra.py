@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 OUTSIDE = 1e-10  # of |z|: a z that is no further from the domain of the support function is in it
-FAR = 2.0 ** np.arange(0, 65, 8)  # in units of what is seen of the set: to the end of needles
+REACHES = 2.0 ** np.arange(0, 65, 8)  # in units of what is seen of the set: to the end of needles
 RATIONAL_DIM = 30  # 63 rows in 25 unknowns take 0.14 s in rational numbers, 101 in 40 take 2.5 s
 NEAR = 1e-6  # of the size of a row: a point moves by much less to what is nearer
 ACTIVE_DIM = 1000  # rows or unknowns up to which active sets are used, beyond a sparse QP
@@ -219,7 +219,7 @@ class Polyhedron(ConvexSet):
             if nearest > math.sqrt(OUTSIDE):  # NNLS looks at gradients, that are its square
                 return None
             extent = float(costs.max()) or 1.0
-            for far in FAR:
+            for far in REACHES:
                 normal = self._exact_normal(far * extent * goal)
                 if normal is None:
                     break

@@ -19,7 +19,7 @@ from sweepopt.linalg import InBlocks, euclidean
 # of the residual, left by a step of Newton's method after which the tangent is kept: such steps
 # cost a fifth of others; of 1e-4 to 0.2 this takes the least time on problems/tread.toml, and of
 # 0 to 0.1 on a ring with plastic strains
-KEPT = 1e-2
+SAME_TANGENT = 1e-2
 SHARES = 0.5 ** np.arange(20)  # of a step
 
 
@@ -110,7 +110,7 @@ class Energy:
         that one is taken where it is uphill by no more than 0.9 of what it was downhill: with 10 a
         ring takes 40 times as long, a gel 11 % fewer steps. No descent is proved: what has not
         converged after 60 steps (2 to 37 were needed) goes to the next solver. A step that leaves
-        less than KEPT of the residual is followed by one with the same tangent.
+        less than SAME_TANGENT of the residual is followed by one with the same tangent.
         """
 
         def at(w: Array) -> State:
@@ -121,7 +121,7 @@ class Energy:
         state, iterations, size, D = at(w), 0, np.inf, None
         while iterations < 60 and not converged(state):
             before, size = size, euclidean(state.R / self._root)
-            if D is None or size > KEPT * before:
+            if D is None or size > SAME_TANGENT * before:
                 D = state.derivative()
             try:
                 change = -self._solve(D, state.R)

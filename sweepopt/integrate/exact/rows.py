@@ -84,7 +84,7 @@ def _root(SB: Array) -> tuple[Array, Array]:
 
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
-SAME = 1e-14  # unit rows, which are products here, and their sides that differ by less are equal
+PARALLEL = 1e-14  # unit rows, products here, and their sides that differ by less are equal
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 
 
@@ -223,8 +223,8 @@ def _distinct(R: Array, weights: Array, equations: Array) -> tuple[Array, Array]
 
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
     """
-    pairs = parallel_rows(R, SAME)
-    same = pairs.equal(weights, SAME * np.abs(weights).max(axis=1))
+    pairs = parallel_rows(R, PARALLEL)
+    same = pairs.equal(weights, PARALLEL * np.abs(weights).max(axis=1))
     kept, equations = np.ones(len(R), dtype=bool), equations.copy()
     for i, j, sign in zip(*(x[same].tolist() for x in pairs), strict=True):
         if kept[i] and kept[j]:

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
-from sweepopt.velocity.energies import KEPT
+from sweepopt.velocity.energies import SAME_TANGENT
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
 
@@ -118,7 +118,7 @@ class _Iteration:
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled):
                 return z, iteration
-            if not self._key or (iteration and size >= KEPT * smallest):
+            if not self._key or (iteration and size >= SAME_TANGENT * smallest):
                 D = C.blocks(v)
                 if D is None or not self._turn(D, T):
                     break
