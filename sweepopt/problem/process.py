@@ -55,6 +55,7 @@ from sweepopt.sets import (
     check_features,
     exchanged,
     image,
+    unproved,
 )
 
 Nearest = Callable[[Array, ConvexSet], Array]
@@ -321,7 +322,7 @@ class SweepingProcess(Displayed):
         for _, C in members:
             _check_written(C)
             if not C.certifiable:
-                self.refuse_state(f"{type(C).__name__}, which has no certificates,")
+                self.refuse_state(f"{unproved(C)}, which has no certificates,")
         for (_, before), (t, C) in pairwise(members):
             # a change of offsets is a finite one
             if before.distance_bound(C) == np.inf:

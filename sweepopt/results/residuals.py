@@ -53,8 +53,8 @@ from sweepopt.sets import (
     Polyhedron,
     basis,
     points_of_sum,
-    shape_of,
     to_bernstein,
+    unproved,
 )
 
 HALVES = np.array([0.0, 0.5, 1.0])
@@ -239,8 +239,7 @@ def _unknown(C: AnySet, data: Motion) -> str:
         if data.offsets is not None and not S.exact_rows:
             return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
         if data.offsets is None and not S.certifiable:
-            part = next(part for part in S.form().parts if not part.certifiable)
-            return f"nothing is proved of {type(shape_of(part)).__name__}"
+            return f"nothing is proved of {unproved(S)}"
     for name, f in parts:
         if not f.bounded:
             return (
