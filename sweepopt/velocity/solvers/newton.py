@@ -150,21 +150,22 @@ def _tangent(M: Matrix, D: list[Blocks], T: Array) -> Callable[..., Array]:
     as projectors have it, counts as 1 - 1e-6. A step with it leaves 1e-6 of the residual; with 1e-8
     a hull in units from 1e-6 to 1e6 misses 1e-9.
     """
-    J, free, inverses = M.copy(), np.zeros(len(T), dtype=bool), []
+    free, inverses = np.zeros(len(T), dtype=bool), []
     for at, block in D:
         one = np.eye(block.shape[1])
         some = (block != one).any(axis=(1, 2))
-        at, inverse = at[some], np.linalg.inv(one - (1 - 1e-6) * block[some])
-        free[at] = True
-        inverses.append((at, inverse))
-        rows, columns = at[:, :, None], at[:, None]
-        entries = T[rows] * (inverse - one)
+        inverses.append((at[some], np.linalg.inv(one - (1 - 1e-6) * block[some])))
+        free[at[some]] = True
+    J, place = M[free][:, free], np.cumsum(free) - 1
+    for at, inverse in inverses:
+        rows, columns = place[at][:, :, None], place[at][:, None]
+        entries = T[at][:, :, None] * (inverse - np.eye(at.shape[1]))
         if sp.issparse(J):
             places = [np.broadcast_to(x, entries.shape).ravel() for x in (rows, columns)]
             J = J + sp.csr_array((entries.ravel(), places), J.shape)
         else:
             J[rows, columns] += entries
-    solve = factorised(J[free][:, free]).solve if free.any() else np.copy
+    solve = factorised(J).solve if free.any() else np.copy
 
     def step(z: Array, residual: Array) -> Array:
         following = np.where(free, z, 0.0)
