@@ -152,7 +152,7 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
             path = find_scene(name)
         except InputError as error:
             known = ", ".join(PROBLEMS)
-            raise InputError(f"{error}, and for studies {known}") from error
+            raise InputError(f"{error}, and for studies {known}") from None
     path = path.resolve()
     return Source(path.stem, str(path), _digest(path))
 
