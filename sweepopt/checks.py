@@ -149,7 +149,8 @@ def at_path(where: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise type(error)(f"{where}{error}") from error
+        error.args = (f"{where}{error}",)  # the same error: one traceback, which has its place
+        raise
     except Exception as error:  # of a user's class or function
         if where:
             note(error, f"This was raised for {where.rstrip('.: ')}.")
@@ -399,7 +400,7 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> Array:
         pairs = [one if isinstance(one, several) else [one] for one in pairs]
         if any(callable(part) for pair in pairs for part in pair):
             reason = "histories with their vectors are so.Separable([(phi, f), ...])"
-        raise InputError(f"{name} must be {what}, got {shown(value)} ({reason})") from error
+        raise InputError(f"{name} must be {what}, got {shown(value)} ({reason})") from None
 
 
 def bounded(name: str, value: Matrix, wanted: str, finite: bool = True) -> Matrix:

@@ -211,11 +211,11 @@ def _compare(options: argparse.Namespace) -> int:
     """Compare all solvers on the programs of a scene."""
     if options.scene not in read_toml(STUDY_PROBLEMS):
         _readable(find_scene(options.scene))
-    from sweepopt.study import compare, comparison_text, find_source
+    from sweepopt.study import compare, comparison_text
 
     if options.csv is not None:
         options.csv.touch()  # says so now if it cannot be written
-    table = compare(find_source(options.scene), steps=options.steps, progress=_note)
+    table = compare(options.scene, steps=options.steps, progress=_note)
     print(comparison_text(table))
     if options.csv is not None:
         table.to_csv(options.csv, index=False)

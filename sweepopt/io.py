@@ -47,7 +47,7 @@ def writable(name: str, value: Any) -> Path:
         path = path.resolve()
         taken, folder = path.exists() and not path.is_file(), path.parent.is_dir()
     except (OSError, ValueError, RuntimeError) as error:  # too long, a zero byte, a circle of links
-        raise InputError(f"{name} is {given}, which is no path: {error}") from error
+        raise InputError(f"{name} is {given}, which is no path: {error}") from None
     if not folder:
         raise InputError(f"{name} is {given}, but there is no folder {str(path.parent)!r}")
     if taken or not os.access(path.parent, os.W_OK):
@@ -61,7 +61,7 @@ def folder_at(name: str, path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = f"where no folder can be made: {error.strerror}"
-        raise InputError(f"{name} is {shown(str(path))}, {reason}") from error
+        raise InputError(f"{name} is {shown(str(path))}, {reason}") from None
     return path
 
 
@@ -115,9 +115,9 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
             hint = "; entries of { } and [ ] have commas between them"
         elif "Invalid value" in fault or "newline" in fault:
             hint = "; text and formulas are in quotes"
-        raise InputError(f"{where}: is not TOML: {fault}{hint}") from error
-    except RecursionError as error:
-        raise InputError(f"{where}: is not TOML: brackets within brackets without end") from error
+        raise InputError(f"{where}: is not TOML: {fault}{hint}") from None
+    except RecursionError:
+        raise InputError(f"{where}: is not TOML: brackets within brackets without end") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -160,7 +160,7 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             try:
                 table[row] = [cell.strip() for cell in next(csv.reader([line]))]
             except csv.Error as error:  # a cell beyond the reader's limit
-                raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
+                raise InputError(f"{path}, row {row}: {error}; is it a table?") from None
     if len(table) < 2:
         raise InputError(
             f"{path}: has no rows; write the column names, t,{others[0]}, and a row for each time"

@@ -22,7 +22,7 @@ from sweepopt.study.problems import find_source
 
 @pytest.fixture(scope="module")
 def table():
-    return compare(find_source("P09"), steps=4)
+    return compare("P09", steps=4)
 
 
 def test_every_installed_solver_is_compared_at_three_accuracies(table):
@@ -59,6 +59,8 @@ def test_only_solvers_that_treat_the_set_take_part():
     assert not names & {"osqp", "cvxpy:daqp"}
     with pytest.raises(so.InputError, match="L13 has no program to compare solvers on"):
         compare(find_source("L13"), steps=5)
+    with pytest.raises(so.InputError, match="a process is given as own_source"):
+        compare(so.SweepingProcess(1.0, 1.0, so.Box(-1, 1), 0.0))
 
 
 def test_the_comparison_prints_a_line_a_row(table):

@@ -352,7 +352,7 @@ def test_a_cone_of_ones_own_may_have_no_offsets_and_features_may_be_tuples():
 
 def test_states_that_a_bound_is_proved_of_cannot_be_changed():
     sol = run()
-    for states in (sol.u, sol.velocity):
+    for states in (sol.t, sol.u, sol.velocity):
         with pytest.raises(ValueError, match="read-only"):
             states[:] += 1.0
 

@@ -156,6 +156,8 @@ def test_a_process_of_ones_own_is_a_problem_like_those_of_the_library(tmp_path):
         replace(SMALL, problems=(known.process(),))
     with pytest.raises(so.InputError, match="executor: processes of one's own"):
         run(replace(SMALL, problems=(mine,)), tmp_path, executor=processes(1))
+    with pytest.raises(so.InputError, match=r"study must be a Study, got 'my.toml'; .*read_study"):
+        run("my.toml", tmp_path)
 
 
 def test_an_error_that_the_reference_cannot_tell_is_no_number(

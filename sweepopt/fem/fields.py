@@ -129,8 +129,8 @@ class Formula:
         self.text = text
         try:
             self.tree = ast.parse(text, mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise self._refusal() from error
+        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            raise self._refusal() from None
         self.names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         unknown = self.names - {*DIRECTIONS, *FUNCTIONS, "t", "pi"}
         if unknown:
@@ -145,8 +145,8 @@ class Formula:
         try:
             with np.errstate(all="ignore"):  # what is no finite number is refused by who asks
                 return self._value(self.tree, np.asarray(x, dtype=float), t)
-        except (TypeError, OverflowError) as error:
-            raise self._refusal() from error
+        except (TypeError, OverflowError):
+            raise self._refusal() from None
 
     def _refusal(self) -> InputError:
         power = "; a power is x**2" if "^" in self.text else ""

@@ -73,7 +73,7 @@ class Initial(Record):
                 kinds = np.asarray(run.get("field", labels))
                 last: Array = run.u.isel(time=-1, missing_dims="ignore").values
         except (InputError, DamagedFileError) as error:
-            raise InputError(f"run: {str(error).removeprefix('path: ')}") from error
+            raise InputError(f"run: {str(error).removeprefix('path: ')}") from None
         if last.shape != u0.shape or not np.array_equal(kinds, labels):
             raise InputError(
                 f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "

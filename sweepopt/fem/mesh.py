@@ -169,11 +169,11 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
             raw = meshio.read(path, file_format="gmsh" if gmsh else None)
         return _mesh_of(raw)
     except InputError as error:
-        raise InputError(f"mesh {path.name:.100}: {error}") from error
+        raise InputError(f"mesh {path.name:.100}: {error}") from None
     except (Exception, SystemExit) as error:  # meshio has no list of what it raises
         fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
         what = f"mesh {path.name:.100}: is damaged or no mesh that meshio can read, such as .msh"
-        raise InputError(f"{what} ({fault:.200})") from error
+        raise InputError(f"{what} ({fault:.200})") from None
 
 
 def check_mesh(mesh: skfem.Mesh) -> None:

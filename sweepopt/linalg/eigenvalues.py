@@ -133,4 +133,4 @@ def require_semidefinite(name: str, M: Matrix) -> None:
         )
     raise IndefiniteError(
         f"{name} must be positive semidefinite, but {fault}; check the signs of what it is made of"
-    )
+    ) from None  # Factor, which is asked first, only says that it failed

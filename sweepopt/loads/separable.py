@@ -94,13 +94,13 @@ class Separable(NoArithmetic):
         try:
             value = result_of(self.terms[k][0], t, name)
         except InputError as error:  # a table that is too short
-            raise type(error)(f"{name}: {error}") from error
+            raise type(error)(f"{name}: {error}") from None
         try:
             return instant("phi", value)
-        except InputError as error:
+        except InputError:
             raise InputError(
                 f"{name} is {shown(value)} at t = {t:g}; it must be one finite number"
-            ) from error
+            ) from None
 
     def at_many(self, times: Array) -> Array:
         """The load at many times, shape (len(times), dim)."""

@@ -100,7 +100,8 @@ class Solution(Displayed):
     process : SweepingProcess
     plan : Plan
     t : ndarray, shape (k+1,)
-        The start and the ends of the kept steps: with ``save=None`` the whole grid, k = n.
+        The start and the ends of the kept steps: with ``save=None`` the whole grid, k = n;
+        read-only.
     states : States
         The kept steps, and where `u` and `velocity` come from: ``states.u(i)`` gives some nodes
         without the others.
@@ -132,6 +133,9 @@ class Solution(Displayed):
     loaded: bool = False
 
     _instead = TRIED
+
+    def __post_init__(self) -> None:
+        checks.read_only(self.t)
 
     def __getstate__(self) -> dict[str, Any]:
         """For copies and pickle: the states as arrays; those of a run are functions of its plan."""

@@ -152,8 +152,8 @@ class Constraints(ConvexSet):
     def require_nonempty(self, where: str = "C") -> None:
         try:
             self.project(np.zeros(self.dim))
-        except EmptySetError as error:
-            raise EmptySetError(f"{where} is empty: no w satisfies the constraints") from error
+        except EmptySetError:
+            raise EmptySetError(f"{where} is empty: no w satisfies the constraints") from None
 
 
 def _check(constraint: Any, name: str) -> None:

@@ -94,7 +94,7 @@ class MovingSet(Operators):
             self.dim = self._member(0.0).dim
         except InputError as error:
             hint = "; give dim= if the set is not defined at t = 0"
-            raise type(error)(f"{error}{hint}") from error
+            raise type(error)(f"{error}{hint}") from None
 
     def at(self, t: float) -> ConvexSet:
         """C(t)."""
@@ -163,7 +163,7 @@ class MovingSet(Operators):
             where = f"C(t) at t = {t:g}"
             if str(error).startswith(where):
                 raise
-            raise type(error)(f"{where}: {error}") from error
+            raise type(error)(f"{where}: {error}") from None
         if not isinstance(C, ConvexSet):
             raise InputError(
                 f"C(t) at t = {t:g} must be a set, got {type(C).__name__}; return one, or, "

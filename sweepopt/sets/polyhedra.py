@@ -416,8 +416,8 @@ class Polyhedron(ConvexSet):
             )
         try:
             self.project(np.zeros(self.dim))
-        except EmptySetError as error:
-            raise EmptySetError(f"{where} is empty: no w satisfies G w <= h") from error
+        except EmptySetError:
+            raise EmptySetError(f"{where} is empty: no w satisfies G w <= h") from None
 
     def polar(self) -> ConvexSet:
         if self.h.any():

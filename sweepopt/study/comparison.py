@@ -24,7 +24,7 @@ from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
-from sweepopt.study.problems import Source, open_source
+from sweepopt.study.problems import Source, find_source, open_source
 from sweepopt.velocity import (
     DAQP,
     OSQP,
@@ -63,14 +63,17 @@ class Trial(NamedTuple):
 
 
 def compare(
-    source: Source, *, steps: int = 50, progress: Callable[[str], object] = lambda words: None
+    source: str | Path | Source,
+    *,
+    steps: int = 50,
+    progress: Callable[[str], object] = lambda words: None,
 ) -> DataFrame:
     """Give the programs of a run to every solver that is installed.
 
     Parameters
     ----------
-    source : Source
-        A problem, as `find_source` finds it.
+    source : str, Path or Source
+        A problem: a name, as `find_source` takes it, or a process of one's own by `own_source`.
     steps : int
         Of the run whose programs are compared.
     progress : callable, optional
@@ -91,6 +94,7 @@ def compare(
     InputError
         If no step of the run has a program: nothing moves, there is a formula, or it is linear.
     """
+    source = find_source(source)
     progress(f"{source.name}: a run of {count('steps', steps)} steps records its programs")
     programs = record(source, steps)
     _, q, C = programs[0]

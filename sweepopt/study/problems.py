@@ -18,7 +18,7 @@ from sweepopt import loads, sets
 from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.integrate import fingerprint
-from sweepopt.io import find_scene, read_bytes, read_toml
+from sweepopt.io import as_path, find_scene, read_bytes, read_toml
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 
 FILE = Path(__file__).with_suffix(".toml")
@@ -124,13 +124,14 @@ class Source(NamedTuple):
         return self.path in (str(FILE), "")
 
 
-def find_source(name: str, folder: str | Path = ".") -> Source:
+def find_source(name: str | Path | Source, folder: str | Path = ".") -> Source:
     """The problem of that name.
 
     Parameters
     ----------
-    name : str
-        A name of PROBLEMS, of a scene that comes with the library, or the path of a scene file.
+    name : str, Path or Source
+        A name of PROBLEMS, of a scene that comes with the library, the path of a scene file, or
+        what is found already.
     folder : str or Path
         Where relative paths start.
 
@@ -144,6 +145,11 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
     >>> find_source("S03").name, Path(find_source("tube").path).name
     ('S03', 'tube.toml')
     """
+    if isinstance(name, Source):
+        return name
+    if isinstance(name, SweepingProcess):
+        raise InputError("a process is given as own_source(name, process, t_end)")
+    name = str(as_path("the problem", name))
     if name in PROBLEMS:
         return Source(name, str(FILE), _digest(FILE))
     path = Path(folder, name)
@@ -152,7 +158,7 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
             path = find_scene(name)
         except InputError as error:
             known = ", ".join(PROBLEMS)
-            raise InputError(f"{error}, and for studies {known}") from error
+            raise InputError(f"{error}, and for studies {known}") from None
     path = path.resolve()
     return Source(path.stem, str(path), _digest(path))
 

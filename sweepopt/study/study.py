@@ -27,7 +27,6 @@ from sweepopt.checks import at_path, choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
-from sweepopt.problem import SweepingProcess
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES, each, option
 from sweepopt.study.problems import Source, find_source
@@ -128,13 +127,8 @@ class Study:
         return source._replace(refinements=max(self.refinements) + 1, element=element)
 
     def _source(self, name: str, value: Any) -> Source:
-        if isinstance(value, Source):
-            return value
-        if isinstance(value, SweepingProcess):
-            raise InputError(f"{name}: a process is given as own_source(name, process, t_end)")
-        path = str(as_path(name, value))
         with at_path(f"{name}: "):
-            return find_source(path, self.folder)
+            return find_source(value, self.folder)
 
 
 def read_study(path: str | Path) -> Study:
@@ -221,6 +215,8 @@ def run(
     InputError
         If a problem is not there, or one's own is given to an executor.
     """
+    if not isinstance(study, Study):
+        raise InputError(f"study must be a Study, got {shown(study)}; read_study makes one")
     cells, done = study.runs(), set(read_table(study, folder).run)
     jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
     if executor is not None and any(cell.problem.own for cell in cells):

@@ -288,7 +288,7 @@ def _solvers(
         except SolverRefusedError as error:
             if t == members[0][0]:  # of no later set, or of a name that is not known
                 raise
-            raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
+            raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from None
         if not C.singleton:
             solvers = solvers or chosen
             contacts.append(np.arange(dim) if selection is None else selection.unknowns)

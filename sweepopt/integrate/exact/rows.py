@@ -186,7 +186,7 @@ def _halfspaces(moving: Motion) -> tuple[Array, Terms, int]:
     except NoHalfspacesError as error:
         raise InputError(
             f"the process has a set that is not a polyhedron with known rows: {error}; use auto"
-        ) from error
+        ) from None
     # the first row, 0 <= scale(t), has no solution where the scale is negative
     N = np.vstack([np.zeros(N.shape[1]), dense(N), E])
     sides = np.concatenate([[1.0], d, e])

@@ -292,7 +292,7 @@ class Cvxpy:
                 except (TypeError, ValueError) as error:
                     raise SolverRefusedError(
                         f"cvxpy's {name} does not take the settings {settings}: {error}"
-                    ) from error
+                    ) from None
             if linear.value is None:
                 return Answer(np.zeros(q.size), status=str(problem.status))
             z = linear.value[: q.size] * (force / program.stiffness)
