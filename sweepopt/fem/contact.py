@@ -23,7 +23,7 @@ from sweepopt.checks import at_path, choice, count, vector
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
-from sweepopt.fem.frames import PARALLEL, normals_at
+from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.loads import Separable
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, images, product
@@ -392,8 +392,8 @@ def _slipping(
 ) -> tuple[Indices, Array]:
     """Unknowns that slip at nodes, -1 for others, and their directions.
 
-    Where other boundaries hold a node, the parts of these in the tangent plane; where none does,
-    the normal of a corner is that of all boundaries that are turned.
+    At a corner that another boundary holds, the parts of these in the tangent plane; where none
+    does, the normal of a corner is that of all boundaries that are turned.
     """
     held, slot = body.frame.held[nodes, None], np.arange(body.components)
     found, directions = np.searchsorted(body.free, body.nodes.T[nodes]), body.frame.basis[nodes]
@@ -403,7 +403,8 @@ def _slipping(
         normal = normals[np.searchsorted(at, nodes), None]
         along = (directions * normal).sum(axis=2)
         slips &= np.where(held > 0, np.abs(along) < 1 - PARALLEL, slot > 0)
-        directions = directions - (along * (held > 0))[..., None] * normal
+        corner = (held > 0) & (np.abs(along) > SMOOTH)
+        directions = directions - (along * corner)[..., None] * normal
     return np.where(slips, found, -1), directions
 
 
