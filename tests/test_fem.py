@@ -19,8 +19,10 @@ from sweepopt.fem import (
     Traction,
     Viscosity,
     antiplane,
+    grid,
     read_mesh,
 )
+from sweepopt.fem.mesh import check_mesh
 
 GAUSS = np.polynomial.legendre.leggauss(8)
 LINE, WEIGHT = (GAUSS[0] + 1) / 2, GAUSS[1] / 2
@@ -422,6 +424,18 @@ def test_a_bad_mesh_file_is_refused_with_its_name_and_fault(tmp_path, capfd, con
     with pytest.raises(InputError, match=f"bad.msh: {message}"):
         read_mesh(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_cells_that_are_there_twice_or_fold_over_are_refused(d):
+    """As Gmsh writes those of two physical groups; intervals and tetrahedra counted twice."""
+    mesh = grid([1.0] * d, [2] * d)
+    twice = type(mesh)(mesh.p, np.hstack([mesh.t, mesh.t[:, :1]]))
+    folded = grid([1.0] * d, [2] * d, ["x * (x - 0.7)", "y", "z"][:d])
+    for one in (twice, folded):
+        with pytest.raises(InputError, match=r" \d near .* overlaps a neighbour or is there twice"):
+            check_mesh(one)
+    check_mesh(mesh)
 
 
 def pieces():

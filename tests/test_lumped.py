@@ -145,3 +145,18 @@ def test_ten_thousand_blocks_reach_the_steady_creep():
     solution = scene.solve(scheme="implicit-euler")
     assert solution.stats["relative"].max() <= 1e-6
     assert np.abs(scene.velocity(solution)[-1] - 1.0).max() <= 1e-5
+
+
+def test_a_node_between_two_subdomains_counts_once_in_all():
+    """Stated as one effect or as two, which gave the node between them twice its share."""
+    halves = chain(5).with_subdomains({"a": lambda x: x[0] < 2, "b": lambda x: x[0] > 2})
+    space = Discretisation(halves, (), kind="lumped")
+    each = {"a": 1.0, "b": 2.0}
+    for rubs in ([Rub(["a", "b"], each)], [Rub(name, g) for name, g in each.items()]):
+        springs = [Foundation(name, g) for name, g in each.items()]
+        scene = body(space, [Viscosity(1.0), *springs, *rubs])
+        expected = [1.0, 1.0, 1.5, 2.0, 2.0]
+        np.testing.assert_allclose(
+            scene.contact.threshold[np.argsort(scene.contact.node)], expected
+        )
+        np.testing.assert_allclose(scene.process.B.diagonal(), expected)

@@ -6,7 +6,8 @@ import xarray as xr
 from meshes import report_of, ring, smooth
 
 import sweepopt as so
-from sweepopt.fem.output import write_netcdf
+from sweepopt.fem import Discretisation, Friction, Viscosity, body, grid
+from sweepopt.fem.output import Report, write_netcdf
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +100,22 @@ def test_any_solution_becomes_a_dataset():
     np.testing.assert_array_equal(dataset.velocity, solution.velocity)
     np.testing.assert_array_equal(dataset.step_end, solution.t[1:])
     assert set(solution.stats.dtype.names) - {"t"} <= set(dataset.variables)
+
+
+@pytest.mark.parametrize(
+    "kind, sizes, on, expected",
+    [
+        ("solid", [1.0, 1.0, 1.0], "bottom", ("m2", "Pa", "N")),
+        ("solid", [1.0, 1.0, 1.0], "body", ("m3", "Pa m-1", "N")),
+        ("plane stress", [1.0, 1.0], "body", ("m2", "Pa", "N")),
+        ("plane strain", [1.0, 1.0], "bottom", ("m", "Pa", "N m-1")),
+        ("antiplane", [1.0], "body", ("m", "N m-1", "N")),
+        ("antiplane", [1.0], "right", ("1", "N", "N")),
+    ],
+)
+def test_contact_is_in_units_of_what_slips(kind, sizes, on, expected):
+    """A weight times a traction is a force; areas were given in m."""
+    space = Discretisation(grid(sizes, [1] * len(sizes)), "left", kind=kind)
+    scene = body(space, [Viscosity(1.0), Friction(on, 0.1)], units="SI")
+    units = Report(scene, scene.solve(t_end=1.0, steps=1)).units
+    assert tuple(units[name] for name in ("weight", "traction", "force")) == expected

@@ -13,6 +13,7 @@ from sweepopt.fem import (
     Plasticity,
     Traction,
     body,
+    chain,
     grid,
     read_scene,
 )
@@ -170,6 +171,39 @@ def test_yield_stresses_differ_by_subdomain_and_the_load_is_data():
     assert not hard.any()
     assert sol.stats["relative"].max() <= 1e-10
     assert scene.process.variation(np.linspace(0, 1, 5)).guaranteed
+
+
+@pytest.mark.parametrize("lumped", [False, True])
+def test_a_bar_and_the_edges_of_a_chain_yield_in_tension(lumped):
+    """At sigma_y, with the tangent moduli of a tension test; not at sigma_y / sqrt(3), in shear."""
+    mesh = chain(3) if lumped else grid([2.0], [2])
+    space = Discretisation(mesh, "left", kind="lumped" if lumped else "antiplane")
+    history, kappa, Hk, Hi = Table([0.0, 1.0, 3.0], [0.0, 3.0, -3.0]), 200.0, 15.0, 7.0
+    effects = [Elasticity(kappa), Plasticity(1.0, Hk=Hk, Hi=Hi), Traction("right", history)]
+    scene = body(space, effects, t_end=3.0, steps=30, tol=1e-10)
+    sol = scene.solve()
+    strain = alpha = 0.0
+    for k, force in enumerate(history(sol.t)):
+        over = abs(force - 1.5 * Hk * strain) - 1.0 - Hi * alpha
+        more = max(over, 0.0) / (1.5 * Hk + Hi)
+        strain, alpha = strain + np.sign(force - 1.5 * Hk * strain) * more, alpha + more
+        end = scene.displacement(sol)[k, np.argmax(space.points[:, 0])]
+        assert end == pytest.approx(2 * (force / kappa + strain), abs=1e-8)
+        np.testing.assert_allclose(scene.plastic_strain(sol)[k], abs(strain), atol=1e-8)
+        np.testing.assert_allclose(scene.stress(sol)[k], abs(force), atol=1e-6)
+
+
+def test_plasticity_of_a_part_takes_moduli_by_subdomain():
+    strip = grid([2.0, 1.0], [4, 2]).with_subdomains(
+        {"soft": lambda x: x[0] < 1, "hard": lambda x: x[0] > 1}
+    )
+    runs = []
+    for E in ({"soft": 10.0, "hard": 20.0}, lambda x: np.where(x[0] < 1, 10.0, 20.0)):
+        effects = [Elasticity(E=E, nu=0.3), Plasticity(1.0, Hk=1.0, on="soft")]
+        pull = Traction("right", Table([0.0, 1.0], [0.0, 2.0]))
+        scene = body(Discretisation(strip, "left", kind="plane strain"), [*effects, pull])
+        runs.append(scene.stress(scene.solve(t_end=1.0, steps=2)))
+    np.testing.assert_array_equal(*runs)
 
 
 @pytest.mark.parametrize("hardening", [{}, {"Hk": 0.6}, {"Hi": 0.9}, {"Hk": 0.2, "Hi": 0.6}])

@@ -23,6 +23,7 @@ from sweepopt.checks import at_path, choice, count, vector
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
+from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.loads import Separable
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, images, product
@@ -129,6 +130,15 @@ class Yield(Brief):
         return x[:, 0] if self.rows.block == 1 else np.linalg.norm(x, axis=1)
 
     @property
+    def stretched(self) -> sp.csr_array:
+        """Rows in which |x| is the Euclidean norm."""
+        if self.metric is None:
+            return self.rows.E
+        root = np.linalg.cholesky(self.metric).transpose(0, 2, 1)
+        at = np.arange(len(root) + 1)
+        return sp.csr_array(sp.bsr_array((root, at[:-1], at)) @ self.rows.E)
+
+    @property
     def lipschitz(self) -> sp.csc_array:
         """``sum_k w_k g_k lip(phi) E_k^T E_k``, the matrix of a `StateDependent` C."""
         assert self.slip is not None
@@ -165,14 +175,21 @@ def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
     """(t, u) -> ``D = sum_k E_k^T D_k``: the image of a product of intervals, discs and ellipses.
 
     Beside discs or balls alone intervals are those of a row and zeros, so that all have one
-    dimension, as path "cones" asks for.
+    dimension, as path "cones" asks for; ellipses are discs of other rows where they share unknowns.
     """
     dims = {one.rows.block for one in yields} - {1}
-    are_balls = all(one.shape == "ball" and one.metric is one.slopes is None for one in yields)
+    shared = np.bincount(np.concatenate([one.rows.E.indices for one in yields])).max() > 1
+    are_balls = all(
+        one.shape == "ball" and one.slopes is None and (shared or one.metric is None)
+        for one in yields
+    )
     if alike := len(dims) == 1 and are_balls:
         (dim,) = dims
         first = sp.csr_array(np.eye(dim, 1))
-        E = [sp.kron(one.rows.E, first) if one.rows.block == 1 else one.rows.E for one in yields]
+        E = [
+            sp.kron(one.stretched, first) if one.rows.block == 1 else one.stretched
+            for one in yields
+        ]
     else:
         yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
         E = [one.rows.E for one in yields]
@@ -333,7 +350,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     along, names, arc = _nodes_of(body, place)
     first = np.sort(np.unique(along, return_index=True)[1])
     node = along[first]
-    unknown = body.unknowns(node, law.on if boundary else ())
+    unknown, directions = _slipping(body, node, law.on if boundary else ())
     sizes = (unknown >= 0).sum(axis=1)
     if not sizes.any():
         raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
@@ -351,9 +368,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         )
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
-        metric = None
-        if law.axes is not None:
-            metric = _metric(body, columns, block, law.axes)
+        metric = _metric(body, directions[mine][some >= 0], block, law.axes)
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
@@ -372,12 +387,34 @@ def _thresholds(law: Friction, place: Place, size: int, t: float, phi: Any) -> A
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 
 
-def _metric(body: Discretisation, unknowns: Indices, block: int, axes: Any) -> Array:
-    """|diag(axes) v|^2 of the velocity v at a node, of the unknowns there, block by block."""
-    scale = np.empty(body.nodes.size)
-    scale[body.nodes] = vector("axes", axes, body.components)[:, None]
-    R = sp.diags_array(scale) @ body.extension[:, unknowns]
-    return sp.bsr_array(R.T @ R, blocksize=(block, block)).data
+def _slipping(
+    body: Discretisation, nodes: Indices, tangential: Sequence[str]
+) -> tuple[Indices, Array]:
+    """Unknowns that slip at nodes, -1 for others, and their directions.
+
+    At a corner that another boundary holds, the parts of these in the tangent plane; where none
+    does, the normal of a corner is that of all boundaries that are turned.
+    """
+    held, slot = body.frame.held[nodes, None], np.arange(body.components)
+    found, directions = np.searchsorted(body.free, body.nodes.T[nodes]), body.frame.basis[nodes]
+    slips = slot >= held
+    if tangential and body.components > 1:
+        at, normals = normals_at(body, tangential)
+        normal = normals[np.searchsorted(at, nodes), None]
+        along = (directions * normal).sum(axis=2)
+        slips &= np.where(held > 0, np.abs(along) < 1 - PARALLEL, slot > 0)
+        corner = (held > 0) & (np.abs(along) > SMOOTH)
+        directions = directions - (along * corner)[..., None] * normal
+    return np.where(slips, found, -1), directions
+
+
+def _metric(body: Discretisation, directions: Array, block: int, axes: Any) -> Array | None:
+    """|diag(axes) v|^2 of velocities along directions, block by block; None if it is |v|^2."""
+    if axes is not None:
+        directions = directions * vector("axes", axes, body.components)
+    R = directions.reshape(-1, block, body.components)
+    metric = R @ R.transpose(0, 2, 1)
+    return None if np.allclose(metric, np.eye(block), rtol=0.0, atol=PARALLEL) else metric
 
 
 def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:

@@ -335,6 +335,10 @@ class Elasticity(Record):
                 raise InputError("kappa is for antiplane shear; give E and nu")
             (mu,) = self.values_at(place)
         elif self.E is not None:
+            if body.mesh.dim() == 1:
+                raise InputError(
+                    "E and nu are for bodies; give kappa, of a bar E times its section"
+                )
             E, nu = self.values_at(place)
             _check_compressible(nu)
             lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
@@ -419,7 +423,7 @@ class Friction(Record):
     solid a run with the normal displacement free is well posed too, but the face moves across the
     floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch. At a corner of one
     boundary, or of several in one effect, a node has the mean normal, which costs O(h); two effects
-    each have their own tangents there if one boundary is held along its normal.
+    each have their own tangents there, at any angle, if one boundary is held along its normal.
 
     Parameters
     ----------
@@ -566,7 +570,7 @@ class PointForce(Record):
     Raises
     ------
     InputError
-        If the point is not in the body, or a number is not finite.
+        If the point is not in the body, edges are curved, or a number is not finite.
 
     Examples
     --------
@@ -586,10 +590,12 @@ class PointForce(Record):
         at = vector("at", self.at, body.mesh.dim())
         try:
             shape = body.scalar.probes(at[:, None]).toarray()[0]
-        except (ValueError, IndexError):
+        except (ValueError, IndexError, NotImplementedError):
             shape = np.full(1, np.nan)
         if not np.isclose(shape.sum(), 1.0):
-            raise InputError(f"at: the point {shown(self.at)} is not in the body")
+            raise InputError(
+                f"at: the point {shown(self.at)} is not in the body, or edges of cells are curved"
+            )
         full = np.zeros(body.nodes.size)
         full[body.nodes] = values[:, None] * shape
         f = _restrict(body, f"at: the point {shown(self.at)}", full)

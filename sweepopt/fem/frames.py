@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 AXES = "xyz"
 PARALLEL = 1e-6
-"""Sine of the angle below which two directions that are held are one: normals of facets round."""
+"""Sine of an angle that is rounding: normals of facets round."""
+SMOOTH = 0.5
+"""Sine of the angle below which two directions that are held are one, the first: a curved boundary
+of two names is no corner, and a circle has twelve facets or more."""
 NEW_DIRECTION = 0.5
 """Some axis is at least sqrt(1/3) away from the span of fewer than d directions."""
 
@@ -32,6 +35,8 @@ class Frame(NamedTuple):
     ----------
     T : sparse, shape (n, n)
         Orthogonal: the values along x, y, z are T times those along the directions of the nodes.
+    basis : ndarray, shape (N, d, d)
+        The directions of each node.
     held : ndarray of int, shape (N,)
         How many directions of each node are held; they come first.
     normal : ndarray of bool, shape (N,)
@@ -39,6 +44,7 @@ class Frame(NamedTuple):
     """
 
     T: sp.csr_array
+    basis: Array
     held: Indices
     normal: NDArray[np.bool_]
 
@@ -59,7 +65,7 @@ def frame_of(body: Discretisation) -> Frame:
     count, normal = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=bool)
     basis = np.zeros((size, d, d))
 
-    def add(nodes: Indices, directions: Array, least: float = PARALLEL) -> None:
+    def add(nodes: Indices, directions: Array, least: float) -> None:
         """Make a direction of each node orthogonal to those before, and append what is left."""
         old, directions = basis[nodes], np.broadcast_to(directions, (len(nodes), d))
         for _ in range(2):
@@ -71,11 +77,11 @@ def frame_of(body: Discretisation) -> Frame:
         count[nodes[new]] += 1
 
     for _, nodes, directions in held_directions(body):
-        add(nodes, directions)
+        add(nodes, directions, SMOOTH)
     fixed = count.copy()
     if body.turned and d > 1:
         nodes, normals = normals_at(body, body.turned)
-        add(nodes, normals)
+        add(nodes, normals, PARALLEL)
         normal[nodes] = count[nodes] > fixed[nodes]
     for axis in np.eye(d):
         add(np.arange(size), axis, NEW_DIRECTION)
@@ -84,7 +90,7 @@ def frame_of(body: Discretisation) -> Frame:
     entries = basis.ravel(), (rows.ravel(), columns.ravel())
     T = sp.csr_array(entries, shape=(dofs.size, dofs.size))
     T.eliminate_zeros()
-    return Frame(T, fixed, normal)
+    return Frame(T, basis, fixed, normal)
 
 
 def normals_at(body: Discretisation, names: Sequence[str]) -> tuple[Indices, Array]:

@@ -177,7 +177,7 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
 
 
 def check_mesh(mesh: skfem.Mesh) -> None:
-    """Refuse NaN nodes, cells without area, overlaps of triangles and inside-out curved triangles.
+    """Refuse NaN nodes, cells without area or on top of others, and inside-out curved triangles.
 
     Raises
     ------
@@ -195,14 +195,14 @@ def check_mesh(mesh: skfem.Mesh) -> None:
     rounding = 8 * EPS * np.abs(mesh.p).max()  # of a height, whose ends are rounded nodes
     least = np.maximum(LEAST_AREA * longest, rounding) * longest ** (mesh.dim() - 1)
     _refuse_cells(mesh, np.abs(area) <= least, "has no area")
-    if mesh.dim() != 2:
-        return
-    # triangles to the left of their sides: two on the same side of an edge overlap
-    start = np.where(area < 0, mesh.t[::-1], mesh.t).astype(np.int64)
-    sides = start * mesh.nvertices + np.roll(start, -1, axis=0)
-    _, number, count = np.unique(sides, return_inverse=True, return_counts=True)
-    most = count[number].reshape(sides.shape).max(axis=0)
-    _refuse_cells(mesh, most > 1, "overlaps a neighbour")
+    # a facet has one cell at most on each of its sides: two of them overlap
+    facet = mesh.t2f
+    apex = mesh.t.sum(axis=0) - mesh.facets.sum(axis=0)[facet]
+    ends = np.concatenate([mesh.facets[:, facet], apex[None]])
+    side = np.linalg.det((mesh.p[:, ends[1:]] - mesh.p[:, ends[:1]]).T).T > 0.0
+    _, number, count = np.unique(2 * facet + side, return_inverse=True, return_counts=True)
+    most = count[number].reshape(facet.shape).max(axis=0)
+    _refuse_cells(mesh, most > 1, "overlaps a neighbour or is there twice")
     if isinstance(mesh, skfem.MeshTri2):
         # not by its `detDF`, which raises an error of its own where one is 0
         jacobian = np.linalg.det(mesh.mapping().DF(skfem.ElementTriP2.doflocs.T).T)

@@ -39,7 +39,7 @@ SI = {
     "time": "s",
     "length": "m",
     "velocity": "m s-1",
-    "traction": "Pa",
+    "stress": "Pa",
     "force": "N m-1",
     "energy": "J m-1",
     "certificate": "W^0.5 m^-0.5",
@@ -47,7 +47,9 @@ SI = {
 }
 """Units of bodies in the plane; energies and forces are per length of the body."""
 OF_WHOLE_BODIES = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
-"""Those of solids and bars, whose loads are not per length."""
+"""Those of solids, bars, chains and sheets, whose loads are not per length."""
+WEIGHTS, TRACTIONS = ("1", "m", "m2", "m3"), ("N", "N m-1", "Pa", "Pa m-1")
+"""Of contact nodes, by the dimension of what slips; forces of them, and one more if per length."""
 
 
 TIMES = {" yr": 365.25 * 86400.0, " d": 86400.0, " h": 3600.0}
@@ -114,10 +116,14 @@ class Report:
     def units(self) -> dict[str, str]:
         """Units of the scene's quantities."""
         if self.scene.units != "SI":
-            return dict.fromkeys(SI, "1")
-        dimension = self.body.mesh.dim()
-        of_lines = {"traction": "N" if self.body.lumped else "N m-1"} if dimension == 1 else {}
-        return SI | (OF_WHOLE_BODIES if dimension != 2 else {}) | of_lines
+            return dict.fromkeys([*SI, "weight", "traction"], "1")
+        body, contact = self.body, self.scene.contact
+        dimension, names = body.mesh.dim(), () if contact is None else contact.boundary
+        inside = not set(names) <= set(body.mesh.boundaries or ())
+        size = 0 if body.lumped else dimension - (not inside)
+        per_length = dimension == 2 and not (inside and body.kind == "plane stress")
+        of_contact = {"weight": WEIGHTS[size], "traction": TRACTIONS[size + per_length]}
+        return SI | of_contact | ({} if per_length else OF_WHOLE_BODIES)
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
@@ -222,6 +228,7 @@ ENERGIES = {
     "work": "work of the loads",
 }
 STATE = "unknowns at the end of the run, internal ones such as plastic strains too"
+WEIGHT = "length, area or volume that it stands for"
 PLASTIC = "sqrt(2/3) |p| of the plastic strain p, its mean in each cell of the mesh"
 
 
@@ -281,7 +288,7 @@ def _of_contact(slip: Slip) -> Variables:
         "contact_node": ("contact", "", contact.node, "node of the contact"),
         "boundary": ("contact", "", names, "boundary of the contact node"),
         "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
-        "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
+        "contact_weight": ("contact", "weight", contact.weight, WEIGHT),
         "friction_bound": ("contact", "force", contact.threshold, "force at which it slips, w g"),
         "traction": (f"step contact{along}", "traction", slip.traction, "friction, against slip"),
         "slip_state": ("step contact", "", slip.state, "1, 0, -1: slips forward, sticks, back"),

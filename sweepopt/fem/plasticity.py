@@ -20,6 +20,7 @@ an elastic body, -lam/(lam + 2 G) (e_xx + e_yy).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,7 @@ class Plasticity(Record):
     """``J(p') = int sqrt(2/3) sigma_y |p'|`` of plastic strains p: von Mises's yield stress.
 
     Stresses are those of the scene's elasticity on e(u) - p. Several of a kind act on subdomains.
+    A bar and the edges of a lumped chain are in tension, and sigma_y, Hk and Hi are forces (N).
 
     Parameters
     ----------
@@ -87,11 +89,10 @@ class Plasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
-        place = body.place("on", self.on or (), strains=True)
-        if not isinstance(place.basis, skfem.CellBasis):
-            raise InputError("on: name subdomains, or 'body', not boundaries")
-        sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place))
-        at_points = self._moduli(body, place)
+        place = self._place(body)
+        bar = _of_bars(body)
+        sigma_y, Hk, Hi, eta = (bar * np.ravel(x) for x in self.values_at(place))
+        at_points = self._moduli(body)
         if body.kind == "plane stress" and any(
             hasattr(one, "moduli") and not hasattr(one, "lame") for one in body.effects
         ):
@@ -99,12 +100,7 @@ class Plasticity(Record):
                 "on: in plane stress viscosity and Maxwell branches beside plasticity are not "
                 "offered: they would lack its strain across the plane; take kind = 'solid'"
             )
-        every = [one.cells(body) for one in body.effects if isinstance(one, Plasticity)]
-        if np.bincount(np.concatenate(every)).max() > 1:
-            raise InputError(
-                "on: two plasticities act in one cell, where neither would see the strain of the "
-                "other; name subdomains that do not overlap"
-            )
+        self._check_alone(body)
         lam, mu = map(np.ravel, at_points)
         _check_hardening(Hk, Hi, eta, mu)
         strains = deviators(body, place, *at_points)
@@ -131,37 +127,55 @@ class Plasticity(Record):
             yields=[
                 Yield(
                     Rows(sp.eye_array(total, format="csr")[at.ravel()], block, w, "internal"),
-                    np.sqrt(2 / 3) * sigma_y * theta,
+                    np.sqrt(2 / 3 / bar) * sigma_y * theta,
                     slopes=1 / theta if block > size else None,
                 )
             ],
             internal=total - n,
         )
 
+    def _check_alone(self, body: Discretisation) -> None:
+        every = []
+        for one in body.effects:
+            if isinstance(one, Plasticity):
+                with suppress(InputError):  # which the other one tells under its own name
+                    every.append(one.cells(body))
+        if np.bincount(np.concatenate(every)).max() > 1:
+            raise InputError(
+                "on: two plasticities act in one cell, where neither would see the strain of the "
+                "other; name subdomains that do not overlap"
+            )
+
     def cells(self, body: Discretisation) -> Indices:
         """Where it acts."""
-        basis = body.place("on", self.on or (), strains=True).basis
-        return np.arange(body.mesh.nelements)[basis.tind].ravel()
+        return np.arange(body.mesh.nelements)[self._place(body).basis.tind].ravel()
 
-    def _moduli(self, body: Discretisation, place: Place) -> list[Array]:
-        """lam and mu of the scene's elasticity at points."""
+    def _place(self, body: Discretisation) -> Place:
+        """The points of strains where it acts."""
+        place = body.place("on", self.on or (), strains=True)
+        if not isinstance(place.basis, skfem.CellBasis):
+            raise InputError("on: name subdomains, or 'body', not boundaries")
+        return place
+
+    def _moduli(self, body: Discretisation) -> list[Array]:
+        """lam and mu of the scene's elasticity at points where it acts."""
         elastic = [one for one in body.effects if hasattr(one, "lame")]
         if len(elastic) != 1:
             raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
-        lam, mu = elastic[0].lame(body, place)
+        lam, mu = elastic[0].lame(body, body.whole)
         if mu is None:
             raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
-        return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
+        return [np.broadcast_to(x, body.basis.dx.shape)[self.cells(body)] for x in (lam, mu)]
 
     def stress(self, body: Discretisation) -> Stress | None:
         """-2 mu p."""
 
         def share(motion: Kinematics) -> Array:
-            place, p, zz = self._strains(body, motion.internal)
+            _, p, zz = self._strains(body, motion.internal)
             if zz.size:
                 p[..., 1] -= ZZ * zz
             stress = np.zeros((len(p), body.mesh.nelements, *p.shape[2:]))
-            stress[:, self.cells(body)] = -2 * self._moduli(body, place)[1][..., None] * p
+            stress[:, self.cells(body)] = -2 * self._moduli(body)[1][..., None] * p
             return stress
 
         return share
@@ -171,18 +185,23 @@ class Plasticity(Record):
         place, p, _ = self._strains(body, internal)
         strain = np.zeros((len(p), body.mesh.nelements))
         size = (place.shares * np.linalg.norm(p, axis=3)).sum(axis=2)
-        strain[:, self.cells(body)] = np.sqrt(2 / 3) * size
+        strain[:, self.cells(body)] = np.sqrt(2 / 3 * _of_bars(body)) * size
         return strain
 
     def _strains(self, body: Discretisation, internal: Array) -> tuple[Place, Array, Array]:
         """The points, p of each and, in plane stress, the part of e_zz."""
-        place = body.place("on", self.on or (), strains=True)
+        place = self._place(body)
         shape = len(internal), *place.basis.dx.shape
         beside = place.basis.dx.size if body.kind == "plane stress" else 0
         _, _, Hi, _ = self.values_at(place)
         zz = internal[:, :beside].reshape(shape if beside else (0,))
         p = internal[:, beside:].reshape(*shape, -1)[..., int(Hi.any()) :].copy()
         return place, p, zz
+
+
+def _of_bars(body: Discretisation) -> float:
+    """(sigma_y / tau_y)^2 for a bar in tension, whose strain is written as a shear; else 1."""
+    return 3.0 if body.mesh.dim() == 1 else 1.0
 
 
 def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:

@@ -136,9 +136,9 @@ def stress(report: Report, steps: Array) -> Field:
     mesh, values = report.body.mesh, report.at("stress", steps)
     name = "shear stress" if report.body.components == 1 else "von Mises stress"
     if mesh.dim() == 2:
-        return _in_cells(report, values, name, "traction", "YlOrRd", {})
+        return _in_cells(report, values, name, "stress", "YlOrRd", {})
     behind = mesh.f2t[0, mesh.boundary_facets()]
-    return _deformed(report, steps, values[:, behind], name, "traction", "YlOrRd")
+    return _deformed(report, steps, values[:, behind], name, "stress", "YlOrRd")
 
 
 def _deformed(

@@ -27,7 +27,7 @@ from sweepopt.checks import choice, count, floats, meaning
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
-from sweepopt.fem.frames import AXES, Frame, frame_of, normals_at
+from sweepopt.fem.frames import AXES, Frame, frame_of
 from sweepopt.fem.mesh import CELLS, check_mesh, nested, read_mesh, refined
 from sweepopt.io import as_path
 
@@ -69,11 +69,13 @@ class Discretisation(Brief):
         functions of a mesh are functions of the finer ones.
     kind : {"lumped", "antiplane", "plane strain", "plane stress", "solid"}
         A lumped model is a chain of P1 intervals of length 1: gradients are the differences along
-        edges, and an integral of values over the body is their sum over the nodes.
+        edges, and an integral of values over the body is their sum over the nodes; a node between
+        two subdomains is half of each.
     held : mapping of str to str
         Components that are zero on a boundary: letters of "xyz" and "n" (normal), such as
         ``{"axis": "n", "foot": "xy"}``. At a node the normal is the mean of those of the boundary's
-        facets.
+        facets. Where boundaries meet at less than 30 degrees from a straight line they are smooth,
+        and the first one holds the node.
 
     Attributes
     ----------
@@ -288,24 +290,6 @@ class Discretisation(Brief):
         """Number of unknowns."""
         return int(self.free.size)
 
-    def unknowns(self, nodes: Indices, tangential: Sequence[str] = ()) -> Indices:
-        """Unknowns at nodes, -1 where there is none; without those along normals of boundaries.
-
-        Returns
-        -------
-        ndarray of int, shape (k, components)
-        """
-        slot, first = np.arange(self.components), self.frame.held[:, None]
-        exists = slot >= first
-        if tangential and self.components > 1:
-            at, normals = normals_at(self, tangential)
-            full = np.zeros(self.nodes.size)
-            full[self.nodes[:, at]] = normals.T
-            # where boundaries meet, the direction that is turned may be a tangent of one of them
-            own = np.abs(self.frame.T.T @ full)[self.nodes.T] > 0.5
-            exists &= ~(own & self.frame.normal[:, None] & (slot == first))
-        return np.where(exists[nodes], np.searchsorted(self.free, self.nodes.T[nodes]), -1)
-
     @cached_property
     def points(self) -> Array:
         """Coordinates of the nodes, shape (N, d)."""
@@ -464,8 +448,8 @@ class Discretisation(Brief):
             rule = self.basis.quadrature
         basis = self._integrals(skfem.CellBasis, nodal, quadrature=rule, elements=cells)
         if nodal and self.lumped:
-            # each node counts as one, in however many cells it is
-            times = np.bincount(basis.element_dofs.ravel(), minlength=basis.N)
+            # each node counts as one in all, shared by the cells at it
+            times = np.bincount(self.scalar.element_dofs.ravel())
             basis.dx = 1.0 / times[basis.element_dofs.T]
         return Place(basis, groups, self.scalar.element_dofs[:, cells])
 

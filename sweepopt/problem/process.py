@@ -280,8 +280,8 @@ class SweepingProcess(Displayed):
             metric = Factor(self.matrix(gamma), "A + gamma B")
         except IndefiniteError:
             raise InputError(
-                "C(t, u) depends on the state beside isotropic hardening alone, which leaves A + "
-                "gamma B singular: give kinematic hardening or a viscosity too"
+                "C(t, u) depends on the state, and A + gamma B is singular: give viscosity or "
+                "elasticity to all unknowns, and kinematic hardening beside isotropic"
             ) from None
         return gamma * largest_ratio(metric, C.lipschitz)
 
