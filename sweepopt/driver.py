@@ -54,7 +54,7 @@ from sweepopt.integrate import (
     with_breakpoints,
 )
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.results import ErrorBound, NetCDFSink, Solution
+from sweepopt.results import ErrorBound, Solution, StateFiles
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
@@ -140,7 +140,8 @@ def solve(
     save : None, "last", int, array_like, callable, str or Path
         What is kept: all steps, the last one, every k-th, those that end at the given times of the
         grid, what a function of (t, u, z) returns for each step (in `Solution.recorded`), or all
-        steps in a NetCDF file "run.nc" that is written in blocks. The last step always is kept.
+        steps in a NetCDF file "run.nc", and on the disk beside it until the run ends. The last step
+        always is kept.
     memory : float
         Bytes that the kept states may take; a run that needs more is refused before it starts.
         Each pass of Adaptive and of `error` keeps all its states.
@@ -175,7 +176,7 @@ def solve(
     CheckpointError
         If a checkpoint cannot be written; the one before it is whole.
     SaveError
-        If a NetCDF file cannot be written; the last state is in it.
+        If a NetCDF file cannot be written; the steps that are done are in it.
 
     Notes
     -----
@@ -432,18 +433,16 @@ def run_over(
     """Move u along the grid, and make a solution of the run."""
     recorded = writer.recorded if writer else []
     few, saved = grid.plan.process_of(process), grid.saving
-    run, sink, succeeded = Run(grid, few.u0), None, False
-    with progress_bar(progress, len(grid.mus), writer.done if writer else 0) as advance:
-        try:
-            watchers: list[Callable[[StepInfo], Any]] = []
-            if saved.path:
-                start = float(grid.times[0]), process.u0, process.unknowns_digest
-                sink = NetCDFSink(saved.path, *start)
-                watchers.append(sink.put)
-            if record := saved.function:
-                watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
-            if callback:
-                watchers.append(callback)
+    run = Run(grid, few.u0)
+    files = StateFiles(saved.path, process.u0) if saved.path else None
+    watchers: list[Callable[[StepInfo], Any]] = [files.put] if files else []
+    if record := saved.function:
+        watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
+    if callback:
+        watchers.append(callback)
+    succeeded = False
+    try:
+        with progress_bar(progress, len(grid.mus), writer.done if writer else 0) as advance:
             seen = advance or watchers
             observe = observer(advance, watchers, grid.plan, grid.times) if seen else None
             if writer:
@@ -451,18 +450,18 @@ def run_over(
             integrate(few, grid.plan, run, observe, writer)
             failed = run.status in (Status.INEXACT, Status.SWITCHING)
             succeeded = not failed or options.on_failure == "stop"
-        finally:
-            if sink is not None:
-                sink.close(_solution(process, run, sink, recorded) if succeeded else None)
+    finally:
+        solution = _solution(process, run, files, recorded)
+        if files:
+            files.close(solution, succeeded)
     if not succeeded:
         t, u = float(grid.times[run.done]), grid.plan.state(run.u)
         raise StepError(run.cause, t=t, step=run.done, u=u, certificate=run.relative)
-    solution = _solution(process, run, sink, recorded)
-    if sink is not None and (failure := sink.storage.failure):
+    if files and files.failure:
         raise SaveError(
-            f"save: {saved.path} cannot be written ({failure.strerror}), the run "
-            f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
-            "Free the disk, name another file, or keep fewer steps in memory, save=k",
+            f"save: {saved.path} cannot be written ({files.failure.strerror}), the run "
+            f"ended after {run.done} steps; `solution` of this error has their states. Free the "
+            "disk, name another file, or keep fewer steps in memory, save=k",
             solution=solution,
         )
     return solution
@@ -489,15 +488,15 @@ def _nearest(process: SweepingProcess, plan: Plan) -> Callable[[Array, ConvexSet
 def _solution(
     process: SweepingProcess,
     run: Run,
-    sink: NetCDFSink | None,
+    files: StateFiles | None,
     recorded: list[Any],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
     grid, states = run.grid, run.states()
     plan, (steps, u, velocity) = grid.plan, states
     states = States(steps, lambda i: plan.state(u(i)), lambda i: plan.velocity(velocity(i)))
-    if sink:
-        states = sink.states()
+    if files:
+        states = files.states()
     return Solution(
         process=process,
         plan=plan,

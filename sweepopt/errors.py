@@ -161,12 +161,12 @@ class _Failure(SweepoptError):
 
 
 class SaveError(_Failure):
-    """The file that `save` names could not be written, and the run was stopped.
+    """The file that `save` names could not be written.
 
     Attributes
     ----------
     solution : Solution
-        The steps that are done; the last of them, which were not yet in the file, are kept.
+        The steps that are done, with their states.
     """
 
     solution: Solution

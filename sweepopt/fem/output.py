@@ -21,7 +21,7 @@ import numpy as np
 from sweepopt import io
 from sweepopt.fem.contact import Slip, signed_lengths, slip_of
 from sweepopt.plot import MOST_FRAMES, even_steps
-from sweepopt.results import netcdf_bytes, software, solver_name
+from sweepopt.results import software, solver_name, write_dataset
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -297,7 +297,7 @@ def _of_contact(slip: Slip) -> Variables:
 
 def write_netcdf(report: Report, path: Path) -> None:
     """Write `dataset_of` a run, compressed and with checksums."""
-    io.put(path, netcdf_bytes(dataset_of(report)))
+    write_dataset(dataset_of(report), path)
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:

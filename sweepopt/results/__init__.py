@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from sweepopt.results.dataset import (
-    NetCDFSink,
+    StateFiles,
     field_names,
-    netcdf_bytes,
     netcdf_package,
     open_run,
     software,
     solver_name,
+    write_dataset,
 )
 from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound, require_bound

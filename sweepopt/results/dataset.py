@@ -1,6 +1,6 @@
 """Solutions as NetCDF files and xarray datasets, every variable with its unit and name.
 
-`NetCDFSink` takes the states of a long run in blocks while it goes, and reads them later.
+`StateFiles` takes the states of a long run while it goes, so that they are not in memory.
 """
 
 from __future__ import annotations
@@ -8,31 +8,26 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
-from io import BytesIO, FileIO
+from io import FileIO
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sweepopt.checks import Array
 from sweepopt.errors import DamagedFileError, InputError, brought_by
-from sweepopt.integrate import Index, States, StepInfo, fingerprint
-from sweepopt.io import as_path, part_of, versions_of
+from sweepopt.integrate import States, StepInfo, fingerprint
+from sweepopt.io import as_path, part_of, replacing, versions_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from sweepopt.results.solution import Solution
 
-BLOCK_BYTES = 8e6  # bytes that wait in memory: large enough that writing them costs little
-
-
-U, VELOCITY = "u_n at the kept grid times", "velocity u_n' in each kept step"
 CHECKED = {"libver": ("v110", "v110")}  # of HDF5: its own tables have checksums too
 MARK = b"\nSHA-256 of all bytes before this line: "  # behind the end that HDF5 knows of
 
@@ -69,120 +64,77 @@ class _Storage(FileIO):
             self.failure = error
 
 
-class NetCDFSink:
-    """Appends times, states and velocities to a file that takes its name when it is closed.
+class StateFiles:
+    """The states and velocities of all steps on a disk, in two files that have no name.
 
-    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`. All arrays
-    have checksums.
+    They are there as long as the run's solution. Its NetCDF file is made of them at the end.
+
+    Parameters
+    ----------
+    path : Path
+        The NetCDF file.
+    u0 : ndarray, shape (dim,)
 
     Attributes
     ----------
-    storage : _Storage
-        Knows whether the file can be written.
+    failure : OSError or None
+        Why a file cannot be written.
 
     Raises
     ------
+    InputError
+        If there is no place for them beside it.
     MissingExtraError
         If h5netcdf or h5py is not installed.
     """
 
-    def __init__(self, path: Path, t: float, u0: Array, unknowns_digest: str = "") -> None:
-        self._path, self._part = path, part_of(path)
-        package = netcdf_package()
-        self.storage = _Storage(self._part, "w+")
-        self._file = package.File(self.storage, "w", **CHECKED)
-        self._run = self._file.attrs["run"] = uuid.uuid4().hex  # another run has another one
-        self._file.attrs["unknowns_digest"] = unknowns_digest
-        self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
-        self._most = max(int(BLOCK_BYTES // (16 * u0.size)), 1)
-        for name, dims, words in (
-            ("time", ("time",), "time"),
-            ("u", ("time", "unknown"), U),
-            ("velocity", ("step", "unknown"), VELOCITY),
-        ):
-            created = self._file.create_variable(name, dims, float, fletcher32=True)
-            created.attrs.update({"long_name": words, "units": "1"})
-        self._file.resize_dimension("time", 1)
-        self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self._steps, self._waiting, self._last = 0, list[StepInfo](), list[StepInfo]()
-        self._u0 = u0
+    failure: OSError | None = None
+
+    def __init__(self, path: Path, u0: Array) -> None:
+        netcdf_package()  # told before the run
+        self._path, self._size = path, u0.size
+        self._nodes, self._velocities = _unnamed(path.parent), _unnamed(path.parent)
+        self._nodes.write(u0.data)
+        if self._nodes.failure:
+            raise InputError(f"save: {path} cannot be written ({self._nodes.failure.strerror})")
 
     def put(self, step: StepInfo) -> bool:
         """Take the state at the end of the next step and the velocity of the step.
 
-        The answer is whether the file cannot be written.
+        The answer is whether they cannot be written.
         """
-        # a copy: a callback may change the state that it sees
-        self._last = [step._replace(u=step.u.copy(), velocity=step.velocity.copy())]
-        self._waiting += self._last
-        if len(self._waiting) == self._most:
-            self._write()
-        return self.storage.failure is not None
-
-    def close(self, solution: Solution | None) -> None:
-        """Write what waits and put the file in its place; an unfinished one keeps its part name.
-
-        One that cannot be written disappears.
-
-        Parameters
-        ----------
-        solution : Solution or None
-            The run, if it is finished: its statistics come beside the states.
-        """
-        self._write()
-        if solution and not self.storage.failure:
-            _dump(to_xarray(solution, states=False), self._file)
-        self._file.close()
-        _end_with_checksum(self.storage)
-        self.storage.close()
-        if self.storage.failure:
-            self._part.unlink()
-        elif solution:
-            os.replace(self._part, self._path)
-
-    def _write(self) -> None:
-        start, variables = self._steps, self._file.variables
-        end = start + len(self._waiting)
-        if end == start or self.storage.failure:
-            return
-        self._file.resize_dimension("time", end + 1)
-        self._file.resize_dimension("step", end)
-        variables["time"][start + 1 :] = [step.t for step in self._waiting]
-        variables["u"][start + 1 :] = [step.u for step in self._waiting]
-        variables["velocity"][start:] = [step.velocity for step in self._waiting]
-        self._file.flush()  # so that a failure is seen before the block is forgotten
-        if not self.storage.failure:
-            # one assignment at the end: what Ctrl-C cuts short is written again by `close`
-            self._steps, self._waiting = end, []
+        self._nodes.write(step.u.data)
+        self._velocities.write(step.velocity.data)
+        self.failure = self._nodes.failure or self._velocities.failure
+        return self.failure is not None
 
     def states(self) -> States:
-        """The states in the file, read when asked for; if that failed what waits, or the last."""
-        self._write()
-        if self.storage.failure:
-            steps = self._waiting or self._last
-            nodes = np.array([self._u0, *(step.u for step in steps)])
-            velocities = np.array([step.velocity for step in steps]).reshape(-1, self._u0.size)
-            done = np.array([step.step for step in steps], dtype=int)
-            return States(done, nodes.__getitem__, velocities.__getitem__)
+        """The states so far; no more are written."""
+        with self._nodes, self._velocities:
+            nodes, velocities = map(self._rows, (self._nodes, self._velocities))
+        done = min(len(nodes) - 1, len(velocities))
+        u, velocity = nodes[: done + 1], velocities[:done]
+        return States(np.arange(done), u.__getitem__, velocity.__getitem__)
 
-        def read(name: str, i: Index) -> Array:
-            if not self._path.is_file():
-                raise InputError(f"{self._path}, which holds the states of this run, is not there")
-            package = netcdf_package()
-            try:
-                with package.File(self._path, "r") as file:
-                    if file.attrs.get("run") == self._run:
-                        variable = file.variables[name]
-                        chosen = np.arange(variable.shape[0])[i]
-                        rows = np.unique(chosen)  # a file has them read in order, each once
-                        return np.asarray(variable[rows])[np.searchsorted(rows, chosen)]
-            except Exception as error:  # h5py has no list of what it raises
-                raise DamagedFileError(
-                    f"{self._path} is damaged ({error}); its states are lost, run again"
-                ) from error
-            raise InputError(f"another run has written {self._path}: these states are gone")
+    def _rows(self, file: _Storage) -> Array:
+        """Those that are whole, read when asked for."""
+        count = file.tell() // (8 * self._size)
+        shape = count, self._size
+        return np.asarray(np.memmap(file, float, "r", shape=shape)) if count else np.empty(shape)
 
-        return States(np.arange(self._steps), partial(read, "u"), partial(read, "velocity"))
+    def close(self, solution: Solution, succeeded: bool) -> None:
+        """Write the file of a run; that of one that failed has the name of a part."""
+        try:
+            if not self.failure:
+                file = self._path if succeeded else part_of(self._path)
+                write_dataset(to_xarray(solution), file)
+        except OSError as error:
+            self.failure = error
+
+
+def _unnamed(folder: Path) -> _Storage:
+    with TemporaryFile(dir=folder) as file:
+        return _Storage(os.dup(file.fileno()), "r+")
 
 
 def netcdf_package() -> Any:
@@ -194,24 +146,26 @@ def netcdf_package() -> Any:
     return h5netcdf
 
 
-def netcdf_bytes(dataset: xr.Dataset) -> bytes:
-    """A file of the dataset, compressed and with checksums.
+def write_dataset(dataset: xr.Dataset, path: Path) -> None:
+    """Replace a file by one of the dataset, compressed and with checksums.
 
-    It is made in memory: HDF5 crashes at exit where a disk is full.
+    Raises
+    ------
+    OSError
+        If it cannot be written.
     """
-    package, content = netcdf_package(), BytesIO()
-    with package.File(content, "w", **CHECKED) as file:
-        _dump(dataset, file)
-    _end_with_checksum(content)
-    return content.getvalue()
-
-
-def _end_with_checksum(file: BytesIO | FileIO) -> None:
-    """Without it HDF5 has to judge damage: in its heaps of texts it can then read without end."""
-    file.seek(0)
-    digest = hashlib.file_digest(file, "sha256").digest()
-    file.seek(0, os.SEEK_END)
-    file.write(MARK + digest)
+    package = netcdf_package()
+    with replacing(path) as part, _Storage(part, "w+") as storage:
+        with package.File(storage, "w", **CHECKED) as file:
+            _dump(dataset, file)
+        # without a checksum of all HDF5 has to judge damage: in its heaps of texts it can then
+        # read without end
+        storage.seek(0)
+        digest = hashlib.file_digest(storage, "sha256").digest()
+        storage.seek(0, os.SEEK_END)
+        storage.write(MARK + digest)
+        if storage.failure:
+            raise storage.failure
 
 
 def _check(path: Path) -> None:
@@ -234,13 +188,13 @@ def _dump(dataset: xr.Dataset, file: Any) -> None:
     encoding = {
         name: packed | ({"dtype": "S1"} if x.dtype.kind in "OU" else {})
         for name, x in dataset.variables.items()
-        if x.ndim and name not in file.variables
+        if x.ndim
     }
     dataset.dump_to_store(H5NetCDFStore(file), encoding=encoding)
 
 
 def open_run(path: str | PathLike[str]) -> xr.Dataset:
-    """What was written of a run by `netcdf_bytes` or a `NetCDFSink`; close it, or use it by with.
+    """What was written of a run by `write_dataset`; close it, or use it by with.
 
     Raises
     ------
@@ -274,8 +228,8 @@ STATISTICS = {
 }
 
 
-def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
-    """A solution as a dataset: u, velocity if `states`, and the statistics of each step.
+def to_xarray(solution: Solution) -> xr.Dataset:
+    """A solution as a dataset: u, velocity and the statistics of each step.
 
     Raises
     ------
@@ -293,11 +247,9 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
         "step_end": ("step", stats["t"], "time at the end of the step"),
         kept: (kept, solution.steps, "step, counted from 0"),
         "unknown": ("unknown", np.arange(solution.process.dim), "unknown"),
+        "u": (("time", "unknown"), solution.u, "u_n at the kept grid times"),
+        "velocity": ((kept, "unknown"), solution.velocity, "velocity u_n' in each kept step"),
     }
-    if states:
-        u, velocity = solution.u, solution.velocity
-        variables["u"] = ("time", "unknown"), u, U
-        variables["velocity"] = (kept, "unknown"), velocity, VELOCITY
     run = xarray.Dataset(
         {
             name: (dims, values, {"long_name": words, "units": "s" if name == "seconds" else "1"})

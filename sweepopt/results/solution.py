@@ -35,9 +35,9 @@ from sweepopt.integrate import (
     implicit_euler,
     program_of_stage,
 )
-from sweepopt.io import put, writable
+from sweepopt.io import writable
 from sweepopt.problem import SweepingProcess, sweeping
-from sweepopt.results.dataset import STATISTICS, netcdf_bytes, open_run, to_xarray
+from sweepopt.results.dataset import STATISTICS, open_run, to_xarray, write_dataset
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of, require_bound
 from sweepopt.results.interpolation import Nodes
@@ -510,7 +510,7 @@ class Solution(Displayed):
         file = writable("path", path)
         if file.suffix != ".nc":
             raise InputError(f"path is {shown(str(path))}; a NetCDF file must end with .nc")
-        put(file, netcdf_bytes(to_xarray(self)))
+        write_dataset(to_xarray(self), file)
 
     @classmethod
     @checks.with_checks

@@ -19,7 +19,13 @@ from sweepopt.sets.base import (
 from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.curves import basis, products, to_bernstein
 from sweepopt.sets.facets import facets
-from sweepopt.sets.least_distance import least_distance, parallel_rows, shortest_on
+from sweepopt.sets.least_distance import (
+    exact_multipliers,
+    exact_solution,
+    least_distance,
+    parallel_rows,
+    shortest_on,
+)
 from sweepopt.sets.lifted import points_of_sum
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent, Summands
 from sweepopt.sets.operations import image, images, product

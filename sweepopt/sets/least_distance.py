@@ -19,6 +19,7 @@ and the distance grows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -264,39 +265,45 @@ def parallel_rows(R: Any, rounding: float = PARALLEL) -> Parallel:
     return Parallel(i[parallel], j[parallel], sign[parallel])
 
 
-# ---- in rational numbers --------------------------------------------------------------------
+# ---- in exact numbers: rational ones, or decimals of many digits ------------------------------
 
 rational = np.frompyfunc(Fraction, 1, 1)
 
 
-def exact_multipliers(G: Array, h: Array, v: Array, tau: Array) -> Any:
-    """y >= 0 for which w = v - tau G^T y is the point of { w : G w <= h } nearest to v.
+def exact_multipliers(
+    G: Array, slack: Array, metric: Callable[[Array], Array], noise: Any = 0, zero: Any = 0
+) -> Any:
+    """y >= 0 for which w = v - P G^T y is the point of { w : G w <= h } nearest to v.
 
     Parameters
     ----------
-    G, h, v, tau : ndarray of Fraction, shapes (m, dim), (m,), (dim,) and (dim,)
-        The metric is that of 1 / tau.
+    G, slack : ndarray of object, shapes (m, dim) and (m,)
+        The rows, and h - G v.
+    metric : callable
+        x -> P x; distances are those of P^-1.
+    noise, zero
+        What decimals round: of a slack, and of a multiplier beside 1.
 
     Returns
     -------
-    ndarray of Fraction, shape (m,), or None
+    ndarray of object, shape (m,), or None
         None if the set is empty.
     """
     active: list[int] = []
-    y, slack = 0 * h, h - G @ v
-    products = np.full((len(h), len(h)), Fraction(0))
-    while (slack < 0).any():
+    y, products = 0 * slack, np.zeros((len(slack), len(slack)), dtype=object)
+    while (slack < -noise).any():
         new = int(slack.argmin())
-        products[:, new] = G @ (tau * G[new])
+        products[:, new] = G @ metric(G[new])
         while True:
             direction = 0 * y
-            direction[active] = -_solution(products[np.ix_(active, active)], products[active, new])
-            direction[new] = Fraction(1)
+            block = products[np.ix_(active, active)]
+            direction[active] = -exact_solution(block, products[active, new])
+            direction[new] = 1
             moving = [*active, new]
             change = products[:, moving] @ direction[moving]
-            falling = [k for k in active if direction[k] < 0]
+            falling = [k for k in active if direction[k] < -zero]
             limits = [-y[k] / direction[k] for k in falling]
-            if change[new] > 0:  # else the row depends on the active ones
+            if change[new] > zero:  # else the row depends on the active ones
                 falling.append(new)
                 limits.append(-slack[new] / change[new])
             if not falling:
@@ -306,16 +313,17 @@ def exact_multipliers(G: Array, h: Array, v: Array, tau: Array) -> Any:
             y, slack = y + length * direction, slack + length * change
             if last == new:
                 active.append(new)
+                slack[active] = 0  # without what decimals round
                 break
             active.remove(last)
     return y
 
 
-def _solution(H: Array, b: Array) -> Array:
-    """H^-1 b, H symmetric positive definite."""
+def exact_solution(H: Array, b: Array) -> Array:
+    """H^-1 b, H symmetric positive definite, of a vector or of columns."""
     S = np.column_stack([H, b])
     for k in range(len(S)):
         S[k] /= S[k, k]
         others = np.arange(len(S)) != k
         S[others] -= np.outer(S[others, k], S[k])
-    return S[:, -1]
+    return S[:, len(S) :].reshape(b.shape)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from functools import cached_property
+from functools import cached_property, partial
 from inspect import signature
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -358,9 +358,10 @@ class Polyhedron(ConvexSet):
         v = rational(w) + weights * rational(p)
         while min(rows.sum(), self.dim) <= RATIONAL_DIM:
             G, h = rational(dense(self.rows[rows])), rational(self.offsets[rows])
-            y = exact_multipliers(G, h, v, weights)
+            slack, metric = h - G @ v, partial(np.multiply, weights)
+            y = exact_multipliers(G, slack, metric)
             if y is None:
-                y = exact_multipliers(G, h + rational(limit[rows]), v, weights)
+                y = exact_multipliers(G, slack + rational(limit[rows]), metric)
             if y is None:
                 return None
             normal = y @ G

@@ -1,8 +1,8 @@
 """The exact velocity of a small program in 80 digits, to judge what double precision answers.
 
 -z in N_C(M z + q) for C = c + E^T S, S a polyhedron or balls: the unknowns beside E z are
-eliminated, the rest is solved by linear complementarity problems. These need no start, so that no
-solver's answer is favoured. The solution is unique.
+eliminated, the rest is solved by the dual active-set method that polyhedra have for rational
+numbers. It needs no start, so that no solver's answer is favoured. The solution is unique.
 """
 
 from collections.abc import Iterator
@@ -15,13 +15,21 @@ import numpy as np
 from sweepopt.checks import Array, Matrix
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import EPS, dense
-from sweepopt.sets import Balls, Box, ConvexSet, Polyhedron, shape_of
+from sweepopt.sets import (
+    Balls,
+    Box,
+    ConvexSet,
+    Polyhedron,
+    exact_multipliers,
+    exact_solution,
+    shape_of,
+)
 from sweepopt.velocity import untranslated
 
-STEPS = 500  # of a method that is finite or converges fast: this ends what is not
+STEPS = 500  # of a method that converges fast: this ends what does not
 NOISE = Decimal("1e-70")  # relative: of 80 digits, the rest is for what elimination adds
 ZERO = Decimal("1e-35")
-"""Relative: pivots of normals that differ by 1e-7 at condition 1e12 are larger."""
+"""Relative: what normals that differ by 1e-7 leave of each other at condition 1e12 is larger."""
 ENOUGH = Decimal("1e-25")  # relative, of a step; the next one would be its square
 ROUNDING = 16 * EPS
 """Relative to the forces: a load above its threshold by no more counts as stuck."""
@@ -49,20 +57,9 @@ def norm(M: Array, z: Array) -> float:
     return float((z @ M @ z).sqrt())
 
 
-def eliminate(S: Array, row: Any, column: int) -> None:
-    """Make a column of S that of the unit matrix, with its 1 in a row."""
-    others = np.arange(len(S)) != row
-    S[row] /= S[row, column]
-    S[others] -= np.outer(S[others, column], S[row])
-
-
 def inverse(M: Array) -> Array:
     """M^-1, M symmetric positive definite."""
-    n = len(M)
-    S = np.column_stack([M, exactly(np.eye(n))])
-    for k in range(n):
-        eliminate(S, k, k)
-    return S[:, n:]
+    return exact_solution(M, exactly(np.eye(len(M))))
 
 
 # ---- programs ---------------------------------------------------------------------------------
@@ -89,46 +86,17 @@ def velocity(C: ConvexSet, N: Array, q: Array) -> Array:
 def _multipliers(P: Array, q: Array, G: Array, h: Array) -> Array:
     """y >= 0 of the rows G w <= h, at w = q - P G^T y nearest to q in the metric of P^-1.
 
-    Rows that are violated join the problem until there are none. In the metric of P all rows have
-    about the same length, and faces of width 0 are made as wide as their rounding.
+    In the metric of P all rows have about the same length, and faces of width 0 are made as wide as
+    their rounding.
     """
     lengths = np.sqrt((G @ P * G).sum(axis=1))
     scale = lengths + (lengths == 0)
     G = G / scale[:, None]
     noise = NOISE * abs(G @ q).max()
-    slack = h / scale - G @ q + noise
-    y, active = 0 * h, np.zeros(len(h), dtype=bool)
-    while (violated := (slack + G @ (P @ (y @ G)) < -noise) & ~active).any():
-        active |= violated
-        y[active] = _complementary(G[active] @ P @ G[active].T, slack[active])
+    y = exact_multipliers(G, h / scale - G @ q + noise, P.dot, noise, ZERO)
+    if y is None:
+        raise SweepoptError("C has no point")
     return y / scale
-
-
-def _complementary(H: Array, b: Array) -> Array:
-    """y >= 0 with s = H y + b >= 0 and <s, y> = 0, some b < 0 and H semidefinite.
-
-    Lemke's method (Cottle, Pang and Stone, The Linear Complementarity Problem, 4.4): y and s stay
-    complementary in s = H y + b + e y_0 while y_0 falls to 0. The columns of the tableau are those
-    of s, y and y_0, the last one is the value of the basis.
-    """
-    m = len(b)
-    unit, ones = exactly(np.eye(m)), exactly(np.ones(m))
-    table = np.column_stack([unit, -H, -ones, b])
-    basis, row, column = np.arange(m), b.argmin(), 2 * m
-    for _ in range(STEPS):
-        leaving, basis[row] = int(basis[row]), column
-        eliminate(table, row, column)
-        values = 0 * table[0]
-        values[basis] = table[:, -1]
-        if values[2 * m] <= NOISE * abs(b).max():
-            return values[m : 2 * m]
-        column = (leaving + m) % (2 * m)
-        falls = table[:, column]
-        rows = np.flatnonzero(falls > ZERO * abs(falls).max())
-        if not rows.size:
-            break
-        row = rows[(table[rows, -1] / falls[rows]).argmin()]
-    raise SweepoptError("C has no point")
 
 
 def _in_balls(N: Array, q: Array, radii: Array) -> Array:
