@@ -21,8 +21,8 @@ class Spiral:
         return self.speed * np.asarray(t) * np.cos(self.rate * np.asarray(t) + self.phase)
 
     def variation(self, a: float, b: float) -> float:
-        """At most int speed (1 + rate t) dt."""
-        return self.speed * (b - a) * (1 + self.rate * (a + b) / 2)
+        """At most int speed (1 + rate |t|) dt."""
+        return self.speed * (b - a + self.rate * (b * abs(b) - a * abs(a)) / 2)
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
         """None."""

@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import block, close_bound, random_process, slope, slow
+from cases import Spiral, block, close_bound, random_process, slope, slow
 from reference_cases import GRIDS, SETS, case
 
 import sweepopt as so
@@ -253,6 +253,13 @@ def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given():
     assert error <= bound <= 0.5
     with pytest.raises(so.InputError, match="variation must not fall"):
         sol.error_bound(variation=lambda t: -t)
+
+
+def test_a_history_of_ones_own_with_a_negative_variation_is_refused():
+    history = Spiral(-1.0, 1.0, 0.0)
+    sol = so.solve(block(so.Separable([(history, [1.0])])), t_end=2.0, steps=10)
+    with pytest.raises(so.InputError, match="must not be negative"):
+        sol.error_bound()
 
 
 def test_a_set_that_is_a_function_needs_its_variation_too():

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import Array, instant
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
@@ -103,6 +103,11 @@ def _by_variation(
     e = np.linalg.norm(f(times) - GAUSS_TO_PARTS @ values, axis=1)
     slopes = 3 * np.linalg.norm(np.diff(TO_BERNSTEIN @ values, axis=0), axis=1)
     varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
+    if (varies < 0).any():
+        raise InputError(
+            f"variation(a, b) of {shown(history)} must not be negative, but it is between t = "
+            f"{a:g} and {b:g}; give at least the total variation"
+        )
     varies += slopes.max() / SAMPLES
     return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
