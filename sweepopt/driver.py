@@ -459,7 +459,7 @@ def run_over(
         raise StepError(run.cause, t=t, step=run.done, u=u, certificate=run.relative)
     if files and files.failure:
         raise SaveError(
-            f"save: {saved.path} cannot be written ({files.failure.strerror}), the run "
+            f"save: {saved.path} cannot be written ({files.failure}), the run "
             f"ended after {run.done} steps; `solution` of this error has their states. Free the "
             "disk, name another file, or keep fewer steps in memory, save=k",
             solution=solution,

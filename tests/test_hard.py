@@ -55,7 +55,7 @@ def test_families_are_made_of_ingredients_that_there_are():
     assert set(joined(*FAMILIES.values())) <= set(names)
 
 
-LONG = ("condition_all", "jumps", "singleton", "thin", "rotating", "no_stiffness", "viscosity")
+LONG = ("condition_all", "jumps", "thin", "rotating", "no_stiffness", "viscosity")
 LONG += ("singular_stiffness", "no_viscosity", "stiff", "short_steps", "long_steps", "jumping")
 LONG += ("hold_half", "hold_almost", "hold_exactly")  # most steps or most digits
 

@@ -6,6 +6,7 @@ import sys
 import tracemalloc
 from functools import cache
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -365,6 +366,15 @@ def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_pat
     done = python(FULL.format(file=str(tmp_path / "run.nc")), check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.split() == ["601", "600", "31", "31", "3", "3", "1", "1"]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_run_is_not_lost_with_its_file(error, tmp_path, monkeypatch):
+    monkeypatch.setattr("sweepopt.results.dataset._dump", Mock(side_effect=error))
+    with pytest.raises(so.SaveError, match=rf"run.nc cannot be written \({error.__name__}\)") as at:
+        run("eliminated", save=tmp_path / "run.nc")
+    assert np.array_equal(at.value.solution.u, whole_run("eliminated").u)
     assert not list(tmp_path.iterdir())
 
 

@@ -77,8 +77,8 @@ class StateFiles:
 
     Attributes
     ----------
-    failure : OSError or None
-        Why a file cannot be written.
+    failure : str
+        Why a file cannot be written, if so.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class StateFiles:
         If h5netcdf or h5py is not installed.
     """
 
-    failure: OSError | None = None
+    failure = ""
 
     def __init__(self, path: Path, u0: Array) -> None:
         netcdf_package()  # told before the run
@@ -105,8 +105,9 @@ class StateFiles:
         """
         self._nodes.write(step.u.data)
         self._velocities.write(step.velocity.data)
-        self.failure = self._nodes.failure or self._velocities.failure
-        return self.failure is not None
+        if failure := self._nodes.failure or self._velocities.failure:
+            self.failure = str(failure.strerror)
+        return bool(self.failure)
 
     def states(self) -> States:
         """The states so far; no more are written."""
@@ -128,8 +129,8 @@ class StateFiles:
             if not self.failure:
                 file = self._path if succeeded else part_of(self._path)
                 write_dataset(to_xarray(solution), file)
-        except OSError as error:
-            self.failure = error
+        except (Exception, KeyboardInterrupt) as error:  # the run is not lost with its file
+            self.failure = getattr(error, "strerror", "") or type(error).__name__
 
 
 def _unnamed(folder: Path) -> _Storage:

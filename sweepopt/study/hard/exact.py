@@ -92,8 +92,10 @@ def _multipliers(P: Array, q: Array, G: Array, h: Array) -> Array:
     lengths = np.sqrt((G @ P * G).sum(axis=1))
     scale = lengths + (lengths == 0)
     G = G / scale[:, None]
-    noise = NOISE * abs(G @ q).max()
-    y = exact_multipliers(G, h / scale - G @ q + noise, P.dot, noise, ZERO)
+    forces = G @ q
+    slack = h / scale - forces
+    noise = NOISE * max(abs(forces).max(), -slack.min())
+    y = exact_multipliers(G, slack + noise, P.dot, noise, ZERO)
     if y is None:
         raise SweepoptError("C has no point")
     return y / scale
