@@ -26,7 +26,7 @@ from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.loads import Separable
-from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, images, product
+from sweepopt.sets import Balls, Box, ConvexSet, SecondOrderCone, images, product
 
 if TYPE_CHECKING:
     from sweepopt.fem.effects import Friction
@@ -172,34 +172,27 @@ def by_history(yields: Sequence[Yield]) -> list[tuple[Any, list[Yield]]]:
 
 
 def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
-    """(t, u) -> ``D = sum_k E_k^T D_k``: the image of a product of intervals, discs and ellipses.
+    """(t, u) -> ``D = sum_k E_k^T D_k``: the image of a product of intervals, discs and cones.
 
-    Beside discs or balls alone intervals are those of a row and zeros, so that all have one
-    dimension, as path "cones" asks for; ellipses are discs of other rows where they share unknowns.
+    Ellipses are discs of other rows. Beside discs or balls alone intervals are those of a row and
+    zeros, so that all have one dimension, as path "cones" asks for.
     """
     dims = {one.rows.block for one in yields} - {1}
-    shared = np.bincount(np.concatenate([one.rows.E.indices for one in yields])).max() > 1
-    are_balls = all(
-        one.shape == "ball" and one.slopes is None and (shared or one.metric is None)
-        for one in yields
-    )
-    if alike := len(dims) == 1 and are_balls:
+    yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
+    E = [one.stretched for one in yields]
+    alike = len(dims) == 1 and all(one.shape == "ball" and one.slopes is None for one in yields)
+    if alike:
         (dim,) = dims
         first = sp.csr_array(np.eye(dim, 1))
-        E = [
-            sp.kron(one.stretched, first) if one.rows.block == 1 else one.stretched
-            for one in yields
-        ]
-    else:
-        yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
-        E = [one.rows.E for one in yields]
+        few = [one.rows.block == 1 for one in yields]
+        E = [sp.kron(rows, first) if one else rows for one, rows in zip(few, E, strict=True)]
     of_forces = images(sp.csc_array(sp.vstack(E).T))
 
     def at(t: float = 0.0, u: Array | None = None) -> ConvexSet:
         if alike:
             balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
             return of_forces(balls)
-        parts = [part for one in yields for part in _sets(one, t, u)]
+        parts = [_set_of(one, t, u) for one in yields]
         boxes = [part for part in parts if isinstance(part, Box)]
         if boxes:
             parts = [product(*boxes), *parts[len(boxes) :]]
@@ -208,19 +201,14 @@ def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
     return at
 
 
-def _sets(one: Yield, t: float, u: Array | None) -> list[ConvexSet]:
-    """The sets D_k, as one where the library has a class of such products."""
+def _set_of(one: Yield, t: float, u: Array | None) -> ConvexSet:
+    """The product of the sets D_k."""
     radii, block = one.at(t, u), one.rows.block
     if one.shape == "half-line":
-        return [Box(np.full(radii.size, -np.inf), np.zeros(radii.size))]
+        return Box(np.full(radii.size, -np.inf), np.zeros(radii.size))
     if one.slopes is not None:
-        return [np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)]
-    if block == 1:
-        radii = radii if one.metric is None else radii * np.sqrt(one.metric[:, 0, 0])
-        return [Box(-radii, radii)]
-    if one.metric is None:
-        return [Balls(radii, block)]
-    return [Ellipsoid(np.zeros(block), G) for G in radii[:, None, None] ** 2 * one.metric]
+        return np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)
+    return Box(-radii, radii) if block == 1 else Balls(radii, block)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -280,8 +280,9 @@ class SweepingProcess(Displayed):
             metric = Factor(self.matrix(gamma), "A + gamma B")
         except IndefiniteError:
             raise InputError(
-                "C(t, u) depends on the state, and A + gamma B is singular: give viscosity or "
-                "elasticity to all unknowns, and kinematic hardening beside isotropic"
+                "C(t, u) depends on the state, and A + gamma B is singular: give kinematic "
+                "hardening or a viscosity beside isotropic hardening, and viscosity or elasticity "
+                "to what has neither"
             ) from None
         return gamma * largest_ratio(metric, C.lipschitz)
 
