@@ -6,7 +6,7 @@ import xarray as xr
 from meshes import report_of, ring, smooth
 
 import sweepopt as so
-from sweepopt.fem.output import write_netcdf
+from sweepopt.fem.output import Report, dataset_of, write_netcdf
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +42,32 @@ def test_every_variable_is_described_in_si_units(written):
     assert set(written.sizes) == {
         *("time", "step", "node", "triangle", "corner", "contact", "unknown")
     }
+
+
+@pytest.mark.parametrize(
+    "kind, sizes, on, units",
+    [
+        ("plane strain", [1.0, 1.0], "bottom", ("m", "Pa", "N m-1")),
+        ("plane stress", [1.0, 1.0], "body", ("m2", "Pa m-1", "N m-1")),
+        ("solid", [1.0, 1.0, 1.0], "bottom", ("m2", "Pa", "N")),
+        ("antiplane", [2.0], "body", ("m", "N m-1", "N")),
+        ("lumped", [2.0], "body", ("1", "N", "N")),
+    ],
+)
+def test_the_weights_of_a_contact_and_its_tractions_have_units_of_their_own(kind, sizes, on, units):
+    law = {"E": 1.0, "nu": 0.3} if len(sizes) > 1 else {"kappa": 1.0}
+    scene = so.fem.read_scene(
+        {
+            "units": "SI",
+            "domain": {"mesh": {"sizes": sizes, "cells": [2] * len(sizes)}, "kind": kind}
+            | {"clamped": "left"},
+            "time": {"end": 1.0, "steps": 1},
+            "effects": {"elasticity": law, "friction": {"on": on, "g": 1.0}},
+        }
+    )
+    run = dataset_of(Report(scene, scene.solve()))
+    names = ("contact_weight", "traction", "friction_bound")
+    assert tuple(run[name].attrs["units"] for name in names) == units
 
 
 def test_the_file_of_a_scene_is_for_xarray_and_no_solution_to_load(written):

@@ -38,8 +38,10 @@ VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra1
 SI = {
     "time": "s",
     "length": "m",
+    "weight": "m",
     "velocity": "m s-1",
     "traction": "Pa",
+    "friction": "Pa",
     "force": "N m-1",
     "energy": "J m-1",
     "certificate": "W^0.5 m^-0.5",
@@ -115,9 +117,19 @@ class Report:
         """Units of the scene's quantities."""
         if self.scene.units != "SI":
             return dict.fromkeys(SI, "1")
-        dimension = self.body.mesh.dim()
-        of_lines = {"traction": "N" if self.body.lumped else "N m-1"} if dimension == 1 else {}
-        return SI | (OF_WHOLE_BODIES if dimension != 2 else {}) | of_lines
+        mesh, lumped, contact = self.body.mesh, self.body.lumped, self.scene.contact
+        dimension = mesh.dim()
+        on_boundary = contact is None or contact.boundary[0] in (mesh.boundaries or {})
+        traction = "Pa" if dimension > 1 else "N" if lumped else "N m-1"
+        return (
+            SI
+            | (OF_WHOLE_BODIES if dimension != 2 else {})
+            | {
+                "traction": traction,
+                "friction": traction if dimension == 1 or on_boundary else "Pa m-1",
+                "weight": ("1", "m", "m2", "m3")[0 if lumped else dimension - on_boundary],
+            }
+        )
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
@@ -281,9 +293,9 @@ def _of_contact(slip: Slip) -> Variables:
         "contact_node": ("contact", "", contact.node, "node of the contact"),
         "boundary": ("contact", "", names, "boundary of the contact node"),
         "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
-        "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
+        "contact_weight": ("contact", "weight", contact.weight, "w, the size of its part"),
         "friction_bound": ("contact", "force", contact.threshold, "force at which it slips, w g"),
-        "traction": (f"step contact{along}", "traction", slip.traction, "friction, against slip"),
+        "traction": (f"step contact{along}", "friction", slip.traction, "friction, against slip"),
         "slip_state": ("step contact", "", slip.state, "1, 0, -1: slips forward, sticks, back"),
     }
 

@@ -205,7 +205,7 @@ def profiles(report: Report) -> Any:
     legend_above(traction, 3)
     name_axis(report, moved.yaxis, "displacement", "length")
     name_axis(report, traction.xaxis, name, "length")
-    name_axis(report, traction.yaxis, "friction traction", "traction")
+    name_axis(report, traction.yaxis, "friction traction", "friction")
     return figure
 
 
