@@ -288,6 +288,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
         (["bad.toml"], "sweepopt: bad.toml: effects.friction.g must be >= 0"),
         (["ring.toml", "--set", "time.end=0"], "sweepopt: ring.toml: time.end must be > 0"),
         (["pipe", "--set", "solve.scheme=rk4"], "pipe.toml: solve.scheme 'rk4' is not known; use"),
+        (["ring.toml", "--set", "effects.friction.g=2 * x"], "of text a shell takes quotes away"),
         (["no.toml"], "is not TOML"),
         (["ring.toml", "--path", "cone"], "path must be one of auto, proportional, eliminated"),
     ],

@@ -111,6 +111,7 @@ def test_any_solution_becomes_a_dataset():
         ("plane strain", [1.0, 1.0], "bottom", ("m", "Pa", "N m-1")),
         ("antiplane", [1.0], "body", ("m", "N m-1", "N")),
         ("antiplane", [1.0], "right", ("1", "N", "N")),
+        ("lumped", [1.0], "body", ("1", "N", "N")),
     ],
 )
 def test_contact_is_in_units_of_what_slips(kind, sizes, on, expected):

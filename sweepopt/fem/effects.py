@@ -355,6 +355,8 @@ class Dashpot(Record):
     ----------
     on : str or sequence of str
         Boundaries, or subdomains; "body" for all of it (a film under a sheet, a bed along a bar).
+        The node where two parts of a lumped model meet has the mean of their values if one effect
+        names both, ``{"a": 1.0, "b": 2.0}``; two effects add up there.
     eta : number, formula, mapping of name to number, Profile or callable
         Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume, Pa s along a bar,
         N s/m of a node of a lumped model), >= 0.
@@ -429,7 +431,7 @@ class Friction(Record):
     ----------
     on : str or sequence of str
         The boundaries that make up Gamma_3; or subdomains, or "body", for a sheet that rubs over
-        its face and a bar in a bed.
+        its face and a bar in a bed. In lumped models as for `Dashpot`.
     g : number, formula, mapping of name to number, Profile or callable
         Friction bound (Pa; Pa/m in a volume, N/m along a bar, N of a node of a lumped model), >= 0;
         a coefficient of friction if `p` is given. A function of x and t moves in time. Where it is

@@ -387,7 +387,7 @@ def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
         if WORD.fullmatch(value) and value not in ("true", "false", "inf", "nan"):
             value = f"'{value}'"
         path = path.strip()
-        where = f"{path}={value} (text is in quotes)"
+        where = f"""{path}={value} (of text a shell takes quotes away: "{path}='2 * x'")"""
         table = parse_toml(where, f"value = {value}")
         if table.keys() != {"value"}:
             raise InputError(f"{where}: must be one value")

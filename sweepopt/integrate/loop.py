@@ -209,10 +209,10 @@ def observer(
                     raise TypeError
                 if answer:
                     return True
-            except (TypeError, ValueError) as error:
+            except (TypeError, ValueError):
                 raise InputError(
                     "callback must return True to stop the run, or nothing; got " + shown(answer)
-                ) from error
+                ) from None
         return False
 
     return observe
