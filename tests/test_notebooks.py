@@ -19,15 +19,11 @@ import jupyter_client
 import nbclient
 import nbformat
 import pytest
-from cases import slow
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w])", re.IGNORECASE)
 CLOSE = {"rel": 0.05, "abs": 1e-6}
 CVXPY = ".".join(version("cvxpy").split(".")[:2])
-FAST = ("first_steps", "one_step")
-"""Of these every run of the tests sees what they show; .ci/run runs the others too."""
-
 RESET = """
 import gc
 import warnings
@@ -107,9 +103,8 @@ def kernel():
     manager.cleanup_resources()
 
 
-@pytest.mark.parametrize(
-    "path", [path if path.stem in FAST else slow(path) for path in NOTEBOOKS], ids=lambda p: p.stem
-)
+@pytest.mark.slow  # .ci/run runs them
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_a_notebook_shows_what_the_code_prints(path, kernel):
     stored, fresh = run(path, kernel)

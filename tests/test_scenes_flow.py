@@ -1,4 +1,4 @@
-"""Scenes of the library against exact or independent values, a section for each."""
+"""Scenes of the library against exact or independent values; .ci/run has those marked slow."""
 
 import numpy as np
 import pytest
@@ -81,6 +81,7 @@ def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corners_stay_at_rest
 
 
 @SUDDEN
+@pytest.mark.slow
 def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula():
     mesh = {"sizes": [5e-3, 5e-3], "cells": [8, 8], "points": ["x - 5e-3", "y"]}
     assert not steady("square_pipe", 45e3, element="P2", mesh=mesh)[1].any()
@@ -106,6 +107,7 @@ def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops():
 # ---- gel: Kelvin, Voigt and Bingham ----
 
 
+@pytest.mark.slow
 def test_the_gel_of_the_loading_ramp_agrees_with_its_closed_form():
     g, eta, kappa, p, end = 0.38, 3.71, 2.53, 456.0 / 4.0, 4.0
     r = np.linspace(0, R, 4001)[1:]

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from cases import slow
 from distributed import LocalCluster
 from processes import started
 from reference_cases import case
@@ -308,7 +307,7 @@ def test_the_command_computes_the_same_rows_on_a_scheduler(small, tmp_path, monk
     text = TEXT.replace('"V05"', '"M16"').replace("[14, 20]", "[8, 16]").replace(', "daqp"', "")
     text = re.sub("schemes = .*", 'schemes = ["midpoint", "catching-up"]', text)
     Path("small.toml").write_text(text, encoding="utf-8")
-    # a thread in place of a worker's process, which takes seconds to start; -m slow has processes
+    # a thread in place of a worker's process, which takes seconds to start; .ci/run has processes
     with LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=None) as there:
         address = there.scheduler_address
         assert main(["study", "small.toml", "--out", "out", "--scheduler", address]) == 0
@@ -326,7 +325,8 @@ def test_a_cluster_that_is_not_there_or_shares_time_is_refused():
                 pass
 
 
-@pytest.mark.parametrize("where", ["processes", slow("dask")])
+@pytest.mark.slow  # .ci/run runs it
+@pytest.mark.parametrize("where", ["processes", "dask"])
 def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdowns_end_the_study(
     where,
     small,
