@@ -383,7 +383,7 @@ def test_a_sampled_bound_says_what_is_not_known():
             r"made of sets that move separately: write",
         ),
     ):
-        sol = so.solve(so.SweepingProcess(data.A, data.B, C, data.u0), t_end=1.0, steps=10)
+        sol = so.solve(so.SweepingProcess(data.A, data.B, C, data.u0), t_end=1.0, steps=3)
         with pytest.warns(so.BoundWarning, match=words):
             bound = sol.error_bound()
         assert not bound.guaranteed
