@@ -545,7 +545,7 @@ def test_a_body_that_is_moved_by_data_has_an_exact_trajectory_and_a_bound(moves)
     exact = scene.solve(t_end=2.0, steps=20, scheme="exact").exact
     times = np.linspace(0.0, 2.0, 401)
     for scheme in ("auto", "implicit-euler"):
-        sol = scene.solve(t_end=2.0, steps=50, scheme=scheme)
+        sol = scene.solve(t_end=2.0, steps=25, scheme=scheme)
         close_bound(sol, times, exact(times), 3)
 
 

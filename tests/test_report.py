@@ -173,6 +173,7 @@ def test_what_cannot_be_shown_is_refused(call, words, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow  # .ci/run runs it
 def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_interrupt(
     tmp_path, monkeypatch, capsys
 ):
