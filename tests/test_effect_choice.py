@@ -189,10 +189,10 @@ SMALL = (1e-3, 1e-5)
 )
 def test_a_vanishing_effect_is_an_absent_one(path, changes, without):
     """|u - u_0| is proportional to the coefficient, and small."""
-    settings, coarse = {"steps": 10, "tol": 1e-12}, {"domain.refinements": 1}
-    bare = read_scene("square", changes=coarse, without=without).solve(**settings).u
+    settings = {"steps": 10, "tol": 1e-12}
+    bare = read_scene("square", changes=COARSE, without=without).solve(**settings).u
     errors = [
-        abs(read_scene("square", changes=coarse | {path: change}).solve(**settings).u - bare).max()
+        abs(read_scene("square", changes=COARSE | {path: change}).solve(**settings).u - bare).max()
         for change in changes
     ]
     slopes = np.diff(np.log(errors)) / np.diff(np.log(SMALL))
@@ -282,7 +282,8 @@ def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused():
             scene.solve()
 
 
-BRANCH = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
+COARSE = {"domain.refinements": 1}
+BRANCH = COARSE | {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
 
 
 def start(path, changes):
@@ -290,7 +291,7 @@ def start(path, changes):
 
 
 @pytest.mark.parametrize(
-    "changes, names", [({}, ["solution.nc"]), (BRANCH, ["run.nc", "kept.nc", "solution.nc"])]
+    "changes, names", [(COARSE, ["solution.nc"]), (BRANCH, ["run.nc", "kept.nc", "solution.nc"])]
 )
 def test_a_scene_starts_where_a_run_of_it_has_ended(changes, names, tmp_path):
     """From files with all unknowns, and from that of a scene; bit for bit."""
@@ -312,18 +313,18 @@ PLANE = {
 
 
 def test_a_run_of_another_scene_is_no_start(tmp_path):
-    listed = {"effects": {"viscosity": {"eta": 1.0}, "maxwell": [BRANCH["effects.maxwell"]]}}
-    narrow = {"sizes": [1.0, 0.5], "cells": [8, 8]}
+    effects = {"viscosity": {"eta": 1.0}, "maxwell": [BRANCH["effects.maxwell"]]}
+    listed, narrow = COARSE | {"effects": effects}, {"sizes": [1.0, 0.5], "cells": [4, 4]}
     sheet = {"domain.mesh": narrow, "domain.refinements": 0, "effects.friction.g": 0.0}
     for source, changes, others in (
         (
             "square",
             BRANCH,
             [
-                ("square", listed, r"144 unknowns of u, maxwell, the scene 144 of u, maxwell\[0\]"),
+                ("square", listed, r"40 unknowns of u, maxwell, the scene 40 of u, maxwell\[0\]"),
                 ("square", {}, r"unknowns of u, maxwell, the scene \d+ of u; take"),
                 ("square", BRANCH | sheet, r"is of another mesh"),
-                (SOLID, {}, r"144 unknowns of u, maxwell, the scene 54 of u"),
+                (SOLID, {}, r"40 unknowns of u, maxwell, the scene 54 of u"),
             ],
         ),
         (PLANE, {}, [(FLAT, {}, r"24 unknowns of u, the scene 12 of u")]),
