@@ -30,7 +30,7 @@ def in_turn(name, scheme, steps):
     """One grid of each run here, all with -m slow; of curved sets a coarse one."""
     turn = (SETS.index(name) + STEPPING.index(scheme)) % 2 if name in COERCIVE else 0
     here = steps == grids(name)[0 if name in CURVED else turn]
-    here &= name != "B14" or scheme in ("catching-up", "sdirk2")  # the longest bounds
+    here &= name != "B14" or scheme == "catching-up"  # the longest bounds
     return pytest.param(name, scheme, steps, marks=[] if here else pytest.mark.slow)
 
 

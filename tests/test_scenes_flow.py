@@ -47,7 +47,7 @@ def test_the_flux_of_the_pipe_converges_to_the_formula():
 
 
 @SUDDEN
-@pytest.mark.parametrize("phi", [0.1, slow(0.5), 0.9])
+@pytest.mark.parametrize("phi", [slow(0.1), slow(0.5), 0.9])
 def test_the_flux_and_the_plug_of_the_pipe_agree_with_the_formulas(phi):
     P = 2 * G / (phi * R)
     scene, z = steady("pipe", P)
@@ -67,6 +67,7 @@ def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh():
 
 
 @SUDDEN
+@pytest.mark.slow
 def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corners_stay_at_rest():
     limit = (2 + np.sqrt(np.pi)) * G / (2 * R)
     assert not steady("square_pipe", limit)[1].any()

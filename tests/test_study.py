@@ -133,6 +133,7 @@ def test_errors_and_certificates_are_those_of_the_library(table):
         assert row.wall > 0.0
 
 
+@pytest.mark.slow  # .ci/run runs it
 def test_errors_are_those_against_exact_solutions_or_fine_runs(tmp_path):
     rows = run(Study(("S03", "V05"), ("midpoint",), ("auto",), (101,), repeats=1), tmp_path)
     for row in rows.itertuples():
@@ -197,6 +198,7 @@ def test_failures_are_rows(table, tmp_path, monkeypatch):
 # ---- meshes ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # .ci/run runs it
 def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(tmp_path):
     square, text = library.find_scene("square"), "refinements = 2"
     shutil.copy(square.with_suffix(".msh"), tmp_path)
