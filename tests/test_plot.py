@@ -444,6 +444,7 @@ def test_what_slips_is_shown_alone_with_a_word_of_the_rest_and_what_drives_it_is
     assert whole.get_ylabel() == "arc length along outer"
 
 
+@pytest.mark.slow  # .ci/run runs it
 def test_an_mp4_is_written_where_there_is_ffmpeg(solid, tmp_path, monkeypatch):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setattr(plot, "MOST_FRAMES", 2)
