@@ -3,7 +3,6 @@
 import copy
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from fuzz_inputs import INF, LONG, NAN, made
@@ -51,8 +50,7 @@ TOKENS += [b"-9223372036854775808", b"", b" ", b"\n", b"\r", b"\t"]
 TOKENS += [b"9" * 5000, b"9" * 30, b"[" * 3000, b"a" * 5000]
 
 
-Damage = tuple[bytes, str, float, float, bytes]
-"""The parts a file is made of, what is done to one, two shares of their number, what comes in."""
+# the parts a file is made of, what is done to one, two shares of their number, what comes in
 PARTS = [rb"[^\n]*\n?", rb"[^\s,=]+|[\s,=]", rb"."]  # lines, words, bytes
 HOW = ["cut", "flip", "insert", "drop", "twice", "swap", "replace", "replace"]
 SHARE = st.floats(0, 1, width=32)
@@ -103,7 +101,6 @@ VALUES += [{"csv": "tube_loads.csv", "column": "f2"}, ["contact", "pulled"], b"x
 VALUES += [{"table": {"t": [0, 120], "values": [10**400, 1]}}, *MESHES, "exact"]
 
 
-Change = tuple[int, str, Any]
 WHAT = st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"])
 CHANGES = st.lists(st.tuples(st.integers(0, 60), WHAT, st.sampled_from(VALUES)), max_size=2)
 

@@ -21,7 +21,6 @@ from sweepopt.linalg import dense
 from sweepopt.sets import Features, NoHalfspacesError, facets, shape_of
 from sweepopt.sets.curves import basis
 
-Rng = np.random.Generator
 Constraints = list[cp.Constraint]
 Build = Callable[..., "Sample"]
 EPS = float(np.finfo(float).eps)

@@ -127,17 +127,17 @@ SLOW = [
 
 
 @pytest.mark.parametrize(
-    "A, scheme, seeds, least",
+    "A, scheme, seeds, tols",
     [
-        (1.0, "sdirk2", 2, 4e-3),
-        (0.0, "sdirk2", 2, 4e-3),
-        *(slow(*each, 32, 1e-3) for each in SLOW),
+        (1.0, "sdirk2", 2, [1e-2]),
+        (0.0, "sdirk2", 2, [1e-2]),
+        *(slow(*each, 32, [1e-2, 1e-3]) for each in SLOW),
     ],
 )
 def test_nine_of_ten_random_processes_meet_the_tolerance_and_none_is_far_from_it(
-    A, scheme, seeds, least
+    A, scheme, seeds, tols
 ):
-    errors = np.ravel([random_errors(seed, A, scheme, [1e-2, least]) for seed in range(seeds)])
+    errors = np.ravel([random_errors(seed, A, scheme, tols) for seed in range(seeds)])
     assert np.mean(errors <= 1.0) >= 0.9
     assert np.mean(errors <= FACTOR) >= 0.98
 

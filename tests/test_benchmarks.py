@@ -21,6 +21,8 @@ import packages
 import scenes
 from equal_error import Task
 
+pytestmark = pytest.mark.slow  # .ci/run runs them
+
 
 @pytest.fixture(scope="module")
 def task():

@@ -129,7 +129,7 @@ def test_a_manufactured_displacement_is_met_with_the_order_of_the_element(kind, 
     d, errors = len(KINDS[kind]), []
     sides = dict(zip(("left", "right", "bottom", "top", "front", "back"), "xxyyzz", strict=True))
     held = {name: axis for name, axis in list(sides.items())[: 2 * d] if name != "right"}
-    cells = np.array([3, 4, 5, 6] if kind == "solid" else [8, 12, 16, 24])
+    cells = np.array([3, 4, 5] if kind == "solid" else [8, 12, 16])
     cells = cells - 2 if kind == "solid" and element == "P2" else cells
     for n in cells.tolist():
         mesh = grid([1.0] * d, [n] * d)
@@ -565,7 +565,7 @@ def test_a_body_that_is_moved_by_data_has_an_exact_trajectory_and_a_bound(moves)
     exact = scene.solve(t_end=2.0, steps=20, scheme="exact").exact
     times = np.linspace(0.0, 2.0, 401)
     for scheme in ("auto", "implicit-euler"):
-        sol = scene.solve(t_end=2.0, steps=50, scheme=scheme)
+        sol = scene.solve(t_end=2.0, steps=25, scheme=scheme)
         close_bound(sol, times, exact(times), 3)
 
 

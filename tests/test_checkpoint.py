@@ -81,7 +81,7 @@ RUNS = {
     ),
     "times of the user": (
         lambda: block(lambda t: [3 * np.sin(4 * t)]),
-        {"steps": np.linspace(0.0, 2.0, 41) ** 2, "t_end": None},
+        {"steps": np.linspace(0.0, 2.0, 21) ** 2, "t_end": None},
     ),
     # the last bit of u is a force of 1: it overshoots, in parts
     "steps in parts": (
@@ -97,7 +97,7 @@ RUNS = {
     ),
     "return mapping": (
         pipe,
-        {"path": "return mapping", "scheme": "implicit-euler", "t_end": 3.0, "steps": 30},
+        {"path": "return mapping", "scheme": "implicit-euler", "t_end": 3.0, "steps": 15},
     ),
 }
 
@@ -113,12 +113,12 @@ def finished(name):
 
 def arguments(name):
     make, settings = RUNS[name]
-    return make(), {"t_end": 2.0, "steps": 40, **settings}
+    return make(), {"t_end": 2.0, "steps": 20, **settings}
 
 
 def between(name):
     """How many steps are between two files: few where each takes long."""
-    return 1 if name in ("uncertified", "steps in parts") else 9
+    return 1 if name in ("uncertified", "steps in parts") else 4
 
 
 def same(a, b):
@@ -145,7 +145,7 @@ def stopping(step):
     return stop
 
 
-def killed(path, name="proportional", at=38, **changes):
+def killed(path, name="proportional", at=18, **changes):
     process, settings = arguments(name)
     where = so.Checkpoint(path, steps=between(name))
     with pytest.raises(Killed):
@@ -190,7 +190,7 @@ def test_what_a_function_recorded_comes_back(tmp_path):
         so.resume(path, process)
     resumed = so.resume(path, process, save=record)
     assert repr(resumed.recorded) == repr(whole.recorded)
-    assert len(resumed.recorded or []) == 40
+    assert len(resumed.recorded or []) == 20
 
 
 @pytest.mark.parametrize(
@@ -373,7 +373,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share, tmp_path):
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(so.InputError, match="resume looks"):
         so.solve(process, checkpoint=path, **settings)
-    with pytest.warns(so.CheckpointWarning, match="damaged.*before it, after step 27") as warned:
+    with pytest.warns(so.CheckpointWarning, match="damaged.*before it, after step 12") as warned:
         assert same(so.resume(path, process), whole)
     assert warned[0].filename == __file__
     with warnings.catch_warnings():
@@ -443,21 +443,21 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(tmp_path, monkeypatch
     path, force, steps = folder / "run.npz", os.fsync, [0]
 
     def full(handle):
-        if steps[-1] > 30:
+        if steps[-1] > 13:
             raise OSError(errno.ENOSPC, "No space left on device")
         force(handle)
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(so.CheckpointError, match=r"after step 36 .*No space left.*is whole"):
+    with pytest.raises(so.CheckpointError, match=r"after step 16 .*No space left.*is whole"):
         so.solve(
             process,
-            checkpoint=so.Checkpoint(path, steps=9),
+            checkpoint=so.Checkpoint(path, steps=4),
             callback=lambda info: steps.append(info.step) or None,
             **settings,
         )
     monkeypatch.undo()
     assert sorted(file.name for file in folder.iterdir()) == ["run.npz", "run.npz.previous"]
-    assert content_of(path)[0]["run"]["done"] == 27
+    assert content_of(path)[0]["run"]["done"] == 12
     assert same(so.resume(path, process), whole)
 
 
@@ -488,8 +488,8 @@ def test_what_cannot_be_continued_is_refused(changes, words, tmp_path):
 def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path):
     path = tmp_path / "run.npz"
     killed(path)
-    with pytest.raises(so.InputError, match="has done 36 of 40 steps; continue it"):
-        so.solve(body(), t_end=2.0, steps=40, checkpoint=path)
+    with pytest.raises(so.InputError, match="has done 16 of 20 steps; continue it"):
+        so.solve(body(), t_end=2.0, steps=20, checkpoint=path)
     so.resume(path, body())
     assert so.solve(body(), t_end=1.0, steps=20, checkpoint=path).success
     for wrong in ({"steps": 0}, {"seconds": -1.0}):
@@ -526,7 +526,7 @@ def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path):
     where, messages = so.Checkpoint(tmp_path / "run.npz", steps=9), []
 
     def second(info):
-        if info.step in (3, 20):
+        if info.step in (3, 12):
             for again in (
                 lambda: so.solve(process, checkpoint=where, **settings),
                 lambda: so.resume(where.path, process),
@@ -536,7 +536,7 @@ def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path):
                 messages.append(info.step)
 
     sol = so.solve(process, checkpoint=where, callback=second, **settings)
-    assert messages == [3, 3, 20, 20]
+    assert messages == [3, 3, 12, 12]
     assert same(
         sol,
         so.solve(process, checkpoint=so.Checkpoint(tmp_path / "alone.npz", steps=9), **settings),

@@ -59,12 +59,18 @@ def scene(tmp_path, monkeypatch):
     return make_scene(tmp_path)
 
 
-def run(*options, picture="", bar=False):
-    """The exit code of a run of the scene into folder out, with at most a picture and a bar."""
+def run(*options, picture="", bar=False, files=True):
+    """The exit code of a run of the scene into folder out, with at most a picture and a bar.
+
+    Without `files` of states, which take longer than a few steps.
+    """
     quiet = [] if bar else ["--no-progress"]
     one = ["--set", f'pictures=["{picture}"]'] if picture else []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sweepopt.fem.pictures.AUTOMATIC", ())  # they take most of the time
+        if not files:
+            patch.setattr("sweepopt.fem.output.write_netcdf", Mock())
+            patch.setattr("sweepopt.fem.output.write_vtu", Mock(return_value=[]))
         return cli.main(["run", "ring.toml", "--out", "out", *quiet, *one, *options])
 
 
@@ -121,7 +127,8 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(monkeypatch, cap
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_of_a_prescribed_displacement_the_energies_that_are_known_are_said(capsys):
     pull = 'effects.prescribed_displacement={ on = "inner", history = { waveform = "sine", '
-    assert run("--set", pull + "amplitude = 4.0, period = 4.0 } }") == 0
+    pull += "amplitude = 4.0, period = 4.0 } }"
+    assert run("--set", pull, files=False) == 0
     (line,) = re.findall("^energy.*", capsys.readouterr().out, re.MULTILINE)
     rubbed = summary_in(Path("out"))["energy"]["friction"]
     words = "J m-1; the others are not known where a displacement is prescribed"
@@ -142,7 +149,8 @@ def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty
     capsys,
 ):
     expected = {"steps": 7, "scheme": "implicit-euler", "solver": "clarabel", "tol": 1e-5}
-    assert run(*(word for name, x in expected.items() for word in (f"--{name}", str(x)))) == 0
+    options = [word for name, x in expected.items() for word in (f"--{name}", str(x))]
+    assert run(*options, files=False) == 0
     assert expected.items() <= summary_in(Path("out"))["settings"].items()
     assert capsys.readouterr().err == ""
 
@@ -167,7 +175,7 @@ def test_a_second_run_replaces_the_first_whole(scene):
 
 @pytest.mark.usefixtures("scene")
 def test_the_error_bound_of_a_run_is_printed_on_request(capsys):
-    assert run("--steps", "20", "--bound") == 0
+    assert run("--steps", "20", "--bound", files=False) == 0
     *_, last = capsys.readouterr().out.splitlines()
     words = r"error bound +(\S+) \(guaranteed\) in the norm of A, where the largest u has (\S+)"
     bound, size = map(float, re.fullmatch(words, last).groups())
@@ -177,7 +185,7 @@ def test_the_error_bound_of_a_run_is_printed_on_request(capsys):
 @pytest.mark.usefixtures("scene")
 def test_an_animation_is_written_on_request(monkeypatch):
     monkeypatch.setattr(plot, "MOST_FRAMES", 2)
-    assert run("--steps", "4", "--animate") == 0
+    assert run("--steps", "4", "--animate", files=False) == 0
     assert "displacement.gif" in summary_in(Path("out"))["files"]
     with Image.open("out/displacement.gif") as shown:
         assert shown.n_frames == 2
@@ -248,7 +256,7 @@ def test_a_warning_of_a_run_is_printed_once(monkeypatch, capsys):
 
     calls = Mock(side_effect=jumping)
     monkeypatch.setattr(so.SweepingProcess, "check", lambda self, times: calls(self, times))
-    assert run("--scheme", "implicit-euler", "--steps", "7") == 0
+    assert run("--scheme", "implicit-euler", "--steps", "7", files=False) == 0
     assert capsys.readouterr().err.count("infinite distance") == 1
     assert calls.call_count == 1
 
@@ -261,7 +269,7 @@ def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(monk
         return replace(solution, status=so.Status.INEXACT)
 
     monkeypatch.setattr("sweepopt.cli.run_over", stopped)
-    assert run() == 1
+    assert run(files=False) == 1
     assert "missed tol" in capsys.readouterr().out
     summary = summary_in(Path("out"))
     assert (summary["success"], summary["settings"]["steps"]) == (False, 4)
@@ -341,7 +349,7 @@ def test_our_warnings_are_one_line_without_a_source_file(scene, capsys):
     scene.write_text(SCENE.replace('waveform = "sine", amplitude = 4.0, period = 4.0', constant))
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        assert run("--steps", "2") == 0
+        assert run("--steps", "2", files=False) == 0
     shown = capsys.readouterr().err
     assert shown.startswith("sweepopt: warning: f(0) - B u0 is not in the dissipation set")
     assert shown.count("\n") == 1

@@ -19,6 +19,8 @@ from sweepopt.study.comparison import (
 )
 from sweepopt.study.problems import find_source
 
+pytestmark = pytest.mark.slow  # .ci/run runs them
+
 
 @pytest.fixture(scope="module")
 def table():

@@ -26,7 +26,7 @@ DOCS = ROOT / "docs"
 BLOCK = re.compile(r"^```(?:python|\{code-cell\})\n(.*?)^```", re.DOTALL | re.MULTILINE)
 WRITTEN = [path for path in sorted(DOCS.rglob("*.md")) if not {"gallery", "site"} & {*path.parts}]
 WITH_CODE = [path for path in WRITTEN if BLOCK.search(path.read_text("utf-8"))]
-LONG = ("cookbook", "own_finite_elements")
+LONG = ("cookbook", "own_finite_elements", "quick_start", "which_scheme")
 """The code of these pages runs in .ci/run, after the fast tests."""
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from cases import slow
-from processes import python
 
 from sweepopt import InputError, cli
 from sweepopt.fem import (
@@ -176,15 +175,6 @@ def test_plasticity_leaves_the_elastic_matrix_bitwise_as_it_is(name):
     assert np.array_equal(whole[:n, :n].toarray(), elastic.toarray())
 
 
-def test_absent_effects_import_no_solver():
-    code = (
-        "import sys; from sweepopt.fem import read_scene;"
-        "s = read_scene('square', without=['friction']).solve(steps=2);"
-        "print([m for m in ('cvxpy', 'clarabel', 'osqp', 'daqp', 'scs') if m in sys.modules])"
-    )
-    assert python(code).stdout == "[]\n"
-
-
 SMALL = (1e-3, 1e-5)
 
 
@@ -200,9 +190,9 @@ SMALL = (1e-3, 1e-5)
 def test_a_vanishing_effect_is_an_absent_one(path, changes, without):
     """|u - u_0| is proportional to the coefficient, and small."""
     settings = {"steps": 10, "tol": 1e-12}
-    bare = read_scene("square", without=without).solve(**settings).u
+    bare = read_scene("square", changes=COARSE, without=without).solve(**settings).u
     errors = [
-        abs(read_scene("square", changes={path: change}).solve(**settings).u - bare).max()
+        abs(read_scene("square", changes=COARSE | {path: change}).solve(**settings).u - bare).max()
         for change in changes
     ]
     slopes = np.diff(np.log(errors)) / np.diff(np.log(SMALL))
@@ -251,22 +241,19 @@ BOUNDS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name, most", [("at rest", 128), ("slip", 32), *(slow(name, 128) for name in [*BOUNDS][1:])]
-)
-def test_steps_end_at_breakpoints_of_loads_whatever_the_bound_of_friction_does(name, most):
+@pytest.mark.parametrize("name", ["at rest", *map(slow, [*BOUNDS][1:])])  # .ci/run runs all
+def test_steps_end_at_breakpoints_of_loads_whatever_the_bound_of_friction_does(name):
     """The second order is the scheme's; the slope varies with where in a step nodes stop."""
     given, more = BOUNDS[name]
     changes = {"domain.refinements": 0, "time.end": 2.0, "effects.traction.history": PULL}
     scene = read_scene("square", changes=changes | given)
-    sizes = [steps for steps in (16, 32, 64, 128) if steps <= most]
-    runs = [scene.solve(steps=steps, tol=1e-9) for steps in (*sizes, 2 * most)]
+    runs = [scene.solve(steps=steps, tol=1e-9) for steps in (16, 32, 64, 128, 256)]
     assert runs[0].plan.breakpoints.tolist() == sorted(T[1:-1] + more)
     errors = [abs(run.u - runs[-1](run.t)).max() for run in runs[:-1]]
-    assert np.polyfit(range(len(sizes)), np.log2(errors), 1)[0] < -1.85, errors
+    assert np.polyfit(range(4), np.log2(errors), 1)[0] < -1.85, errors
     # without the breakpoints 1.46e-3 to 1.6e-3, and 1.5e-4 to 2.2e-4
     assert errors[0] < 1.4e-3, errors
-    assert len(sizes) < 3 or errors[2] < 9e-5, errors
+    assert errors[2] < 9e-5, errors
 
 
 def test_steps_end_where_the_rate_of_a_prescribed_displacement_jumps():
@@ -292,7 +279,8 @@ def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused():
             scene.solve()
 
 
-BRANCH = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
+COARSE = {"domain.refinements": 1}
+BRANCH = COARSE | {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
 
 
 def start(path, changes):
@@ -300,7 +288,7 @@ def start(path, changes):
 
 
 @pytest.mark.parametrize(
-    "changes, names", [({}, ["solution.nc"]), (BRANCH, ["run.nc", "kept.nc", "solution.nc"])]
+    "changes, names", [(COARSE, ["solution.nc"]), (BRANCH, ["run.nc", "kept.nc", "solution.nc"])]
 )
 def test_a_scene_starts_where_a_run_of_it_has_ended(changes, names, tmp_path):
     """From files with all unknowns, and from that of a scene; bit for bit."""
@@ -322,18 +310,18 @@ PLANE = {
 
 
 def test_a_run_of_another_scene_is_no_start(tmp_path):
-    listed = {"effects": {"viscosity": {"eta": 1.0}, "maxwell": [BRANCH["effects.maxwell"]]}}
-    narrow = {"sizes": [1.0, 0.5], "cells": [8, 8]}
+    effects = {"viscosity": {"eta": 1.0}, "maxwell": [BRANCH["effects.maxwell"]]}
+    listed, narrow = COARSE | {"effects": effects}, {"sizes": [1.0, 0.5], "cells": [4, 4]}
     sheet = {"domain.mesh": narrow, "domain.refinements": 0, "effects.friction.g": 0.0}
     for source, changes, others in (
         (
             "square",
             BRANCH,
             [
-                ("square", listed, r"144 unknowns of u, maxwell, the scene 144 of u, maxwell\[0\]"),
+                ("square", listed, r"40 unknowns of u, maxwell, the scene 40 of u, maxwell\[0\]"),
                 ("square", {}, r"unknowns of u, maxwell, the scene \d+ of u; take"),
                 ("square", BRANCH | sheet, r"is of another mesh"),
-                (SOLID, {}, r"144 unknowns of u, maxwell, the scene 54 of u"),
+                (SOLID, {}, r"40 unknowns of u, maxwell, the scene 54 of u"),
             ],
         ),
         (PLANE, {}, [(FLAT, {}, r"24 unknowns of u, the scene 12 of u")]),

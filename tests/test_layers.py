@@ -111,7 +111,11 @@ def test_outside_packages_are_imported_only_where_they_live():
         assert any(one.module == home or one.module.startswith(f"{home}/") for home in homes), one
 
 
-def test_importing_the_library_loads_no_heavy_package():
+def test_importing_the_library_loads_no_heavy_package_and_absent_effects_no_solver():
     heavy = [name for name in HOMES if name not in ("daqp", "cvxopt")]
-    code = f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules])"
-    assert python(code).stdout == "[]\n"
+    code = (
+        f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules]);"
+        "sweepopt.scene('square', without=['friction']).solve(steps=2);"
+        "print([m for m in ('cvxpy', 'clarabel', 'osqp', 'daqp', 'scs') if m in sys.modules])"
+    )
+    assert python(code).stdout == "[]\n[]\n"

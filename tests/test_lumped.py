@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from sweepopt import plot
@@ -20,8 +19,6 @@ from sweepopt.fem import Friction as Rub
 from sweepopt.fem.output import Report
 from sweepopt.io import find_scene, read_toml
 from sweepopt.loads import Table
-
-Array = NDArray[np.float64]
 
 
 def scene_data(name):

@@ -77,13 +77,13 @@ RESULTS = (
 )
 
 
-@pytest.mark.parametrize("name", [one for one in FORMS if one not in RESULTS])
-def test_every_public_name_refuses_an_argument_that_it_does_not_have(name):
-    thing = so.fem.__dict__[name[4:]] if name.startswith("fem.") else getattr(so, name)
-    if isinstance(thing, type) and issubclass(thing, BaseException):
-        return
-    with pytest.raises(so.InputError, match=f"{name.removeprefix('fem.')} has no argument colour"):
-        thing(colour="red")
+def test_every_public_name_refuses_an_argument_that_it_does_not_have():
+    for name in sorted({*FORMS} - {*RESULTS}):
+        short = name.removeprefix("fem.")
+        thing = getattr(so if short == name else so.fem, short)
+        if not isinstance(thing, type) or not issubclass(thing, BaseException):
+            with pytest.raises(so.InputError, match=f"{short} has no argument colour"):
+                thing(colour="red")
 
 
 def test_a_half_space_takes_its_arguments_by_name():

@@ -15,19 +15,12 @@ from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 
-import jupyter_client
-import nbclient
-import nbformat
 import pytest
-from cases import slow
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w])", re.IGNORECASE)
 CLOSE = {"rel": 0.05, "abs": 1e-6}
 CVXPY = ".".join(version("cvxpy").split(".")[:2])
-FAST = ("first_steps", "one_step")
-"""Of these every run of the tests sees what they show; .ci/run runs the others too."""
-
 RESET = """
 import gc
 import warnings
@@ -43,6 +36,8 @@ get_ipython().run_line_magic("config", "InlineBackend.print_figure_kwargs = dict
 
 
 def execute(notebook, kernel):
+    import nbclient  # as the two below, for slow tests alone
+
     settings = {"timeout": 300, "kernel_name": "python3", "record_timing": False}
     client = nbclient.NotebookClient(notebook, km=kernel, **settings)
     try:
@@ -54,6 +49,8 @@ def execute(notebook, kernel):
 
 def run(path, kernel=None):
     """The notebook as it is stored, and as it comes out now; in a new kernel if none is given."""
+    import nbformat
+
     stored, fresh = (nbformat.read(path, as_version=4) for _ in range(2))
     if kernel is not None:
         execute(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(RESET)]), kernel)
@@ -100,6 +97,8 @@ def kernel():
     """One kernel for all notebooks, which forgets names, figures and filters of warnings between
     them: a new one for each would import everything again, half of the time of these tests.
     """
+    import jupyter_client
+
     manager = jupyter_client.KernelManager(kernel_name="python3")
     manager.start_kernel()
     yield manager
@@ -107,9 +106,8 @@ def kernel():
     manager.cleanup_resources()
 
 
-@pytest.mark.parametrize(
-    "path", [path if path.stem in FAST else slow(path) for path in NOTEBOOKS], ids=lambda p: p.stem
-)
+@pytest.mark.slow  # .ci/run runs them
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_a_notebook_shows_what_the_code_prints(path, kernel):
     stored, fresh = run(path, kernel)
@@ -140,6 +138,8 @@ def test_texts_that_differ_are_told_apart():
 if __name__ == "__main__":
     if sys.argv[1:2] != ["--write"]:
         sys.exit(__doc__)
+    import nbformat
+
     for notebook in NOTEBOOKS:
         if notebook.stem in (sys.argv[2:] or notebook.stem):
             nbformat.write(run(notebook)[1], notebook)

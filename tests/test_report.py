@@ -173,15 +173,18 @@ def test_what_cannot_be_shown_is_refused(call, words, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow  # .ci/run runs it
 def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_interrupt(
     tmp_path, monkeypatch, capsys
 ):
     path, out = tmp_path / "both.toml", tmp_path / "out"
-    path.write_text(
+    with_hard = (
         'title = "Both"\nproblems = ["S01"]\nschemes = ["midpoint"]\n'
         'solvers = ["auto"]\nsteps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\n'
         'solvers = ["auto"]\npaths = ["full"]\ncombinations = 0\n'
-        '[trajectories]\ntrajectories = ["grazing"]\nschemes = ["auto"]\n'
+    )
+    path.write_text(
+        f'{with_hard}[trajectories]\ntrajectories = ["grazing"]\nschemes = ["auto"]\n'
         '[stiff]\nbodies = ["one mass"]\nloads = ["tables"]\nstiffness = [100.0]\n'
     )
     assert main(["study", str(path), "--out", str(out)]) == 0
@@ -207,6 +210,7 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
         yield from HARD
         raise KeyboardInterrupt
 
+    path.write_text(with_hard)
     monkeypatch.setattr("sweepopt.study.hard.velocities._runs", interrupted)
     assert main(["study", str(path), "--out", str(out)]) != 0
     assert "1 runs, 1 of them finished before" in capsys.readouterr().err

@@ -112,6 +112,7 @@ def test_threads_at_once_and_again_are_the_same(name):
     assert same(run(name, shared), alone(name))  # what earlier runs left in it changes nothing
 
 
+@pytest.mark.slow  # .ci/run runs it
 def test_processes_give_what_this_one_gives():
     # spawned: nothing is inherited from this process
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:

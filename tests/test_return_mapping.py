@@ -19,8 +19,6 @@ from sweepopt.fem import (
 )
 from sweepopt.loads import Table
 
-Hardening = dict[str, float]
-
 # a clamped disc in antiplane shear, G = 1, yield stress 0.2 and hardening 0.1 of the shear stress
 PIPE = {
     "kinematic": ({"Hk": 0.2}, {5: 1.15, 15: -1.15}),

@@ -8,6 +8,8 @@ from sweepopt.fem.output import Report
 from sweepopt.fem.pictures import driven
 from sweepopt.io import find_scene, parse_toml
 
+pytestmark = pytest.mark.slow  # .ci/run runs them
+
 
 def solved(name):
     """A run of a scene; every step is certified to 1e-6."""

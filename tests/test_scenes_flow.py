@@ -1,4 +1,4 @@
-"""Scenes of the library against exact or independent values, a section for each."""
+"""Scenes of the library against exact or independent values; .ci/run has those marked slow."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_the_flux_of_the_pipe_converges_to_the_formula():
 
 
 @SUDDEN
-@pytest.mark.parametrize("phi", [0.1, slow(0.5), 0.9])
+@pytest.mark.parametrize("phi", [slow(0.1), slow(0.5), 0.9])
 def test_the_flux_and_the_plug_of_the_pipe_agree_with_the_formulas(phi):
     P = 2 * G / (phi * R)
     scene, z = steady("pipe", P)
@@ -67,6 +67,7 @@ def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh():
 
 
 @SUDDEN
+@pytest.mark.slow
 def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corners_stay_at_rest():
     limit = (2 + np.sqrt(np.pi)) * G / (2 * R)
     assert not steady("square_pipe", limit)[1].any()
@@ -81,6 +82,7 @@ def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corners_stay_at_rest
 
 
 @SUDDEN
+@pytest.mark.slow
 def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula():
     mesh = {"sizes": [5e-3, 5e-3], "cells": [8, 8], "points": ["x - 5e-3", "y"]}
     assert not steady("square_pipe", 45e3, element="P2", mesh=mesh)[1].any()
@@ -106,6 +108,7 @@ def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops():
 # ---- gel: Kelvin, Voigt and Bingham ----
 
 
+@pytest.mark.slow
 def test_the_gel_of_the_loading_ramp_agrees_with_its_closed_form():
     g, eta, kappa, p, end = 0.38, 3.71, 2.53, 456.0 / 4.0, 4.0
     r = np.linspace(0, R, 4001)[1:]

@@ -1,4 +1,4 @@
-"""The scenes of the library against exact values and independent codes."""
+"""The scenes of the library against exact values and independent codes; .ci/run has all."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,7 +6,6 @@ from functools import cache
 import meshio
 import numpy as np
 import pytest
-from cases import slow
 
 from sweepopt.errors import InputError
 from sweepopt.fem import Contribution, read_scene
@@ -42,6 +41,7 @@ def test_the_thick_ring_agrees_with_an_independent_code_over_a_cycle():
     assert u[[*RING]] == pytest.approx([*RING.values()], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_hardening_matters_only_where_the_ring_yields_back():
     modulus = 70e9 * 0.7e9 / (70e9 - 0.7e9)
     both = [known("ring"), read_scene("ring", changes=isotropic(modulus))]
@@ -68,6 +68,7 @@ HOLE = [
 """Step, point and component of displacements (m), of an independent code."""
 
 
+@pytest.mark.slow
 def test_the_plate_agrees_with_an_independent_code_in_plane_strain():
     changes = {"domain.kind": "plane strain", "effects.traction.f2": [0.0, 450e6]}
     scene = read_scene("plate", changes=changes)
@@ -78,9 +79,10 @@ def test_the_plate_agrees_with_an_independent_code_in_plane_strain():
         assert u == pytest.approx(displacement, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes, elastic, plastic",
-    [({}, 148.5, 151.5), slow({"domain.refinements": 1}, 147.8, 148.8)],
+    [({}, 148.5, 151.5), ({"domain.refinements": 1}, 147.8, 148.8)],
 )
 def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor(
     changes, elastic, plastic

@@ -1,4 +1,4 @@
-"""The scenes of problems/ against exact solutions and independent programs."""
+"""The scenes of problems/ against exact solutions and independent programs; .ci/run has all."""
 
 import numpy as np
 import pytest
@@ -30,6 +30,7 @@ def test_the_bar_follows_the_parabola_of_its_slip_front_and_masings_rule():
 # The sheet on an orbiting table
 
 
+@pytest.mark.slow
 def test_the_orbiting_load_of_the_sheet_is_data_and_its_bound_close():
     data = read_toml(find_scene("sheet"))
     data["domain"]["mesh"]["cells"] = [6, 4]
@@ -48,6 +49,7 @@ def test_the_orbiting_load_of_the_sheet_is_data_and_its_bound_close():
 # The tread block
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_body_of_more_than_a_thousand_unknowns_is_close():
     scene = read_scene("tread", changes={"domain.mesh.cells": [11, 7, 4]})
     assert scene.process.dim > 1000
