@@ -80,18 +80,6 @@ def lumped(domain, **time):
 # --- scene 12: a chain of blocks
 
 
-def test_one_effect_on_two_parts_takes_the_mean_where_they_meet_and_two_effects_add_up():
-    parts = {"a": lambda x: x[0] < 2.0, "b": lambda x: x[0] > 2.0}
-    blocks = Discretisation(chain(5).with_subdomains(parts), [], kind="lumped")
-    for effects, expected in (
-        ([Rub(["a", "b"], g={"a": 1.0, "b": 2.0})], [1.0, 1.0, 1.5, 2.0, 2.0]),
-        ([Rub("a", g=1.0), Rub("b", g=2.0)], [1.0, 1.0, 3.0, 2.0, 2.0]),
-    ):
-        scene = body(blocks, [Foundation("body", k=1.0), *effects])
-        bounds = [scene.process.C.at(0.0).support(e) for e in np.eye(5)]
-        np.testing.assert_array_equal(bounds, expected)
-
-
 def chain_data(nodes, end, steps):
     data = scene_data("chain")
     data["domain"]["mesh"]["nodes"] = nodes

@@ -355,8 +355,7 @@ class Dashpot(Record):
     ----------
     on : str or sequence of str
         Boundaries, or subdomains; "body" for all of it (a film under a sheet, a bed along a bar).
-        The node where two parts of a lumped model meet has the mean of their values if one effect
-        names both, ``{"a": 1.0, "b": 2.0}``; two effects add up there.
+        A node of a lumped model between two parts counts half for each.
     eta : number, formula, mapping of name to number, Profile or callable
         Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume, Pa s along a bar,
         N s/m of a node of a lumped model), >= 0.
