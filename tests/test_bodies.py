@@ -382,6 +382,16 @@ def test_a_smooth_wall_of_two_names_pins_no_node():
     assert speeds[1] == pytest.approx(speeds[0], rel=0.04)  # it was a third
 
 
+def test_directions_that_nearly_agree_are_both_held_where_no_walls_are_smooth():
+    """The second was left out: a wedge of 20 degrees flowed through its tip, 26 % too fast."""
+    wedge = skfem.MeshTri(np.array([[0.0, 1.0, 1.0], [0.0, 0.0, 0.36]]), np.arange(3)[:, None])
+    sides = {"low": lambda x: x[1] < 1e-9, "up": lambda x: x[1] > 0.36 * x[0] - 1e-9}
+    wedge = wedge.refined(2).with_boundaries(sides)
+    for held, many in (({"low": "n", "up": "n"}, 1), ({"up": "yn"}, 5)):
+        frame = Discretisation(wedge, kind="plane strain", held=held).frame
+        assert (frame.held == 2).sum() == many
+
+
 def test_a_point_force_acts_at_its_point():
     for element in ("P1", "P2"):
         scene = body(

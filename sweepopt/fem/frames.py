@@ -22,8 +22,8 @@ AXES = "xyz"
 PARALLEL = 1e-6
 """Sine of an angle that is rounding: normals of facets round."""
 SMOOTH = 0.5
-"""Sine of the angle below which two directions that are held are one, the first: a curved boundary
-of two names is no corner, and a circle has twelve facets or more."""
+"""Sine of the angle between normals below which boundaries are a smooth one: a curved boundary of
+two names is no corner, and a circle has more than twelve facets."""
 NEW_DIRECTION = 0.5
 """Some axis is at least sqrt(1/3) away from the span of fewer than d directions."""
 
@@ -50,13 +50,19 @@ class Frame(NamedTuple):
 
 
 def held_directions(body: Discretisation) -> Iterator[tuple[str, Indices, Array]]:
-    """Of each component that is held on a boundary the name, the nodes, and its directions."""
-    axes = np.eye(body.components)
+    """Of each component that is held on a boundary the name, the nodes, and its directions.
+
+    Normals of a smooth boundary of several names are those of the first. At the tip of a wedge
+    normals are opposite, not close: through a tip that one of them leaves free the body would flow.
+    """
+    axes, known = np.eye(body.components), np.zeros_like(body.points)
     all_held = dict.fromkeys(body.clamped or (), AXES[: body.components])
     for name, what in [*all_held.items(), *body.held.items()]:
         nodes, normals = normals_at(body, [name])
+        apart = (known[nodes] * normals).sum(axis=1) <= np.sqrt(1 - SMOOTH**2)
+        known[nodes[apart]] = normals[apart]
         for letter in what:
-            yield name, nodes, normals if letter == "n" else axes[AXES.index(letter)]
+            yield name, nodes, known[nodes] if letter == "n" else axes[AXES.index(letter)]
 
 
 def frame_of(body: Discretisation) -> Frame:
@@ -65,7 +71,7 @@ def frame_of(body: Discretisation) -> Frame:
     count, normal = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=bool)
     basis = np.zeros((size, d, d))
 
-    def add(nodes: Indices, directions: Array, least: float) -> None:
+    def add(nodes: Indices, directions: Array, least: float = PARALLEL) -> None:
         """Make a direction of each node orthogonal to those before, and append what is left."""
         old, directions = basis[nodes], np.broadcast_to(directions, (len(nodes), d))
         for _ in range(2):
@@ -77,11 +83,11 @@ def frame_of(body: Discretisation) -> Frame:
         count[nodes[new]] += 1
 
     for _, nodes, directions in held_directions(body):
-        add(nodes, directions, SMOOTH)
+        add(nodes, directions)
     fixed = count.copy()
     if body.turned and d > 1:
         nodes, normals = normals_at(body, body.turned)
-        add(nodes, normals, PARALLEL)
+        add(nodes, normals)
         normal[nodes] = count[nodes] > fixed[nodes]
     for axis in np.eye(d):
         add(np.arange(size), axis, NEW_DIRECTION)

@@ -75,7 +75,7 @@ class Discretisation(Brief):
         Components that are zero on a boundary: letters of "xyz" and "n" (normal), such as
         ``{"axis": "n", "foot": "xy"}``. At a node the normal is the mean of those of the boundary's
         facets. Where boundaries meet at less than 30 degrees from a straight line they are smooth,
-        and the first one holds the node.
+        and the normal of the first one holds the node.
 
     Attributes
     ----------
