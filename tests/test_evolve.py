@@ -282,7 +282,7 @@ def test_a_scheme_by_name_that_rings_warns_once_where_something_sticks_and_moves
     (words,) = said(moving)
     assert f"scheme {scheme!r} rings: step * Lam = 100" in words
     assert "take scheme='auto' or implicit-euler" in words
-    assert len(said(moving, 0.029)) == 1  # step * Lam = 3.4: R = -0.27, below -FADES
+    assert len(said(moving, 0.029)) == 1  # step * Lam = 3.4: R = -0.27, below -RINGING
     assert not said(moving, 0.035)  # 2.9, -0.18
     assert not said(moving, on_unstable="ignore")
     assert not said(so.Box(-1, 1))

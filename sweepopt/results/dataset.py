@@ -130,7 +130,7 @@ class StateFiles:
                 file = self._path if succeeded else part_of(self._path)
                 write_dataset(to_xarray(solution), file)
         except (Exception, KeyboardInterrupt) as error:  # the run is not lost with its file
-            self.failure = getattr(error, "strerror", "") or type(error).__name__
+            self.failure = getattr(error, "strerror", "") or repr(error)
 
 
 def _unnamed(folder: Path) -> _Storage:

@@ -137,10 +137,11 @@ class Solution(Displayed):
     def __post_init__(self) -> None:
         checks.read_only(self.t)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """For copies and pickle: the states as arrays; those of a run are functions of its plan."""
         states = States(self.steps, self.u.__getitem__, self.velocity.__getitem__)
-        return {one.name: getattr(self, one.name) for one in fields(self)} | {"states": states}
+        known = {one.name: getattr(self, one.name) for one in fields(self)} | {"states": states}
+        return type(self), tuple(known.values())  # which makes t read-only again
 
     def __getitem__(self, key: Any) -> Any:
         raise InputError(
