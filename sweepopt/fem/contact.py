@@ -130,7 +130,7 @@ class Yield(Brief):
         return x[:, 0] if self.rows.block == 1 else np.linalg.norm(x, axis=1)
 
     @property
-    def stretched(self) -> sp.csr_array:
+    def euclidean_rows(self) -> sp.csr_array:
         """Rows in which |x| is the Euclidean norm."""
         if self.metric is None:
             return self.rows.E
@@ -179,7 +179,7 @@ def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
     """
     dims = {one.rows.block for one in yields} - {1}
     yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
-    E = [one.stretched for one in yields]
+    E = [one.euclidean_rows for one in yields]
     alike = len(dims) == 1 and all(one.shape == "ball" and one.slopes is None for one in yields)
     if alike:
         (dim,) = dims
@@ -384,7 +384,7 @@ def _slipping(
     does, the normal of a corner is that of all boundaries that are turned.
     """
     held, slot = body.frame.held[nodes, None], np.arange(body.components)
-    found, directions = np.searchsorted(body.free, body.nodes.T[nodes]), body.frame.basis[nodes]
+    unknown, directions = np.searchsorted(body.free, body.nodes.T[nodes]), body.frame.basis[nodes]
     slips = slot >= held
     if tangential and body.components > 1:
         at, normals = normals_at(body, tangential)
@@ -393,7 +393,7 @@ def _slipping(
         slips &= np.where(held > 0, np.abs(along) < 1 - PARALLEL, slot > 0)
         corner = (held > 0) & (np.abs(along) > SMOOTH)
         directions = directions - (along * corner)[..., None] * normal
-    return np.where(slips, found, -1), directions
+    return np.where(slips, unknown, -1), directions
 
 
 def _metric(body: Discretisation, directions: Array, block: int, axes: Any) -> Array | None:

@@ -283,7 +283,8 @@ class Elasticity(Record):
     Parameters
     ----------
     kappa : number, formula, mapping of subdomain to number, Profile or callable
-        Shear modulus (Pa), >= 0, of antiplane shear. A mapping covers every subdomain.
+        Shear modulus (Pa), >= 0, of antiplane shear; of a bar E times its section (N), of an edge
+        of a chain its stiffness (N/m). A mapping covers every subdomain.
     E, nu : as kappa, instead of kappa
         Young's modulus (Pa), > 0, and Poisson's ratio, in (-1, 0.5).
     tensor : array_like, shape (m, m), instead of kappa

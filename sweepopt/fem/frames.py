@@ -55,14 +55,14 @@ def held_directions(body: Discretisation) -> Iterator[tuple[str, Indices, Array]
     Normals of a smooth boundary of several names are those of the first. At the tip of a wedge
     normals are opposite, not close: through a tip that one of them leaves free the body would flow.
     """
-    axes, known = np.eye(body.components), np.zeros_like(body.points)
+    axes, walls = np.eye(body.components), np.zeros_like(body.points)
     all_held = dict.fromkeys(body.clamped or (), AXES[: body.components])
     for name, what in [*all_held.items(), *body.held.items()]:
         nodes, normals = normals_at(body, [name])
-        apart = (known[nodes] * normals).sum(axis=1) <= np.sqrt(1 - SMOOTH**2)
-        known[nodes[apart]] = normals[apart]
+        apart = (walls[nodes] * normals).sum(axis=1) <= np.sqrt(1 - SMOOTH**2)
+        walls[nodes[apart]] = normals[apart]
         for letter in what:
-            yield name, nodes, known[nodes] if letter == "n" else axes[AXES.index(letter)]
+            yield name, nodes, walls[nodes] if letter == "n" else axes[AXES.index(letter)]
 
 
 def frame_of(body: Discretisation) -> Frame:

@@ -51,7 +51,8 @@ class Plasticity(Record):
     """``J(p') = int sqrt(2/3) sigma_y |p'|`` of plastic strains p: von Mises's yield stress.
 
     Stresses are those of the scene's elasticity on e(u) - p. Several of a kind act on subdomains.
-    A bar and the edges of a lumped chain are in tension, and sigma_y, Hk and Hi are forces (N).
+    A bar and the edges of a lumped chain are in tension: sigma_y is a force (N), Hk and Hi have the
+    unit of kappa, eta that times a time.
 
     Parameters
     ----------
