@@ -411,6 +411,8 @@ BAD_FILES = [
     (curve(square(2), lambda a, b: (a + b) / 2 + [[0], [0.6]]), ".* its curved edges cross"),
     (curve(square(2), lambda a, b: 0.75 * a + 0.25 * b), ".* its curved edges cross"),
     *((corrupt(one, name=f"tube_{name}"), "is damaged") for name, *one in DAMAGE),
+    (corrupt(("free", "pulled"), name="tube_2.2"), "has physical groups of one name"),
+    (corrupt(("free", "core"), name="tube_4.1_binary"), "has physical groups of one name"),
 ]
 
 
