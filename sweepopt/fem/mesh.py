@@ -323,12 +323,24 @@ def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:
             f"refinements: {times} of {mesh.nelements} {CELLS[mesh.dim()]} make more than "
             f"{MOST_CELLS:.0e} of them; take at most {most}"
         )
+    if isinstance(mesh, skfem.MeshTet):
+        return refined(_finer_solid(mesh), times - 1)
     if not isinstance(mesh, skfem.MeshTri2):
         return mesh.refined(times)
     fine, quadratic = _straight(mesh).refined(times), skfem.ElementTriP2()
     places = nested(mesh, quadratic, times, quadratic) @ mesh.doflocs.T
     curved = replace(skfem.MeshTri2.from_mesh(fine), doflocs=np.ascontiguousarray(places.T))
     return _with_names(curved, fine)
+
+
+def _finer_solid(mesh: skfem.MeshTet) -> skfem.MeshTet:
+    """Each tetrahedron in eight, with the names of facets, which scikit-fem drops."""
+    fine = replace(mesh, _boundaries=None).refined()
+    nodes, boundaries = np.vstack([mesh.facets, mesh.nvertices + mesh.f2e]), {}
+    for name, members in (mesh.boundaries or {}).items():
+        touching = sum(fine.p2f[:, node] for node in nodes[:, members])
+        boundaries[name] = np.unique((touching == 3).nonzero()[0])  # within one facet
+    return fine.with_boundaries(boundaries)
 
 
 def nested(
