@@ -22,7 +22,7 @@ from sweepopt.fem import (
     grid,
     read_mesh,
 )
-from sweepopt.fem.mesh import check_mesh
+from sweepopt.fem.mesh import check_mesh, refined
 
 GAUSS = np.polynomial.legendre.leggauss(8)
 LINE, WEIGHT = (GAUSS[0] + 1) / 2, GAUSS[1] / 2
@@ -411,6 +411,8 @@ BAD_FILES = [
     (curve(square(2), lambda a, b: (a + b) / 2 + [[0], [0.6]]), ".* its curved edges cross"),
     (curve(square(2), lambda a, b: 0.75 * a + 0.25 * b), ".* its curved edges cross"),
     *((corrupt(one, name=f"tube_{name}"), "is damaged") for name, *one in DAMAGE),
+    (corrupt(("free", "pulled"), name="tube_2.2"), "has physical groups of one name"),
+    (corrupt(("free", "core"), name="tube_4.1_binary"), "has physical groups of one name"),
 ]
 
 
@@ -436,6 +438,20 @@ def test_cells_that_are_there_twice_or_fold_over_are_refused(d):
         with pytest.raises(InputError, match=r" \d near .* overlaps a neighbour or is there twice"):
             check_mesh(one)
     check_mesh(mesh)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_a_refined_mesh_keeps_its_names(d):
+    """Those of solids were lost."""
+    sizes = [1.0, 2.0, 1.5][:d]
+    mesh = grid(sizes, [2, 1, 2][:d]).with_subdomains({"half": lambda x: x[0] < 0.5})
+    fine = refined(mesh, 2)
+    assert len(fine.subdomains["half"]) * 2 == fine.nelements == 4**d * mesh.nelements
+    for name, facets in mesh.boundaries.items():
+        plane = mesh.p[:, mesh.facets[:, facets]]
+        k = int(np.ptp(plane, axis=(1, 2)).argmin())
+        on = (fine.p[k, fine.facets] == plane[k, 0, 0]).all(axis=0)
+        np.testing.assert_array_equal(fine.boundaries[name], np.flatnonzero(on))
 
 
 def pieces():

@@ -167,6 +167,12 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
             warnings.filterwarnings("error", "string or file could not be read")
             warnings.filterwarnings("error", category=RuntimeWarning)
             raw = meshio.read(path, file_format="gmsh" if gmsh else None)
+        count_of_names = content.partition(b"$PhysicalNames")[2].split(None, 1)
+        if gmsh and count_of_names and int(count_of_names[0]) > len(raw.field_data):
+            raise InputError(
+                "has physical groups of one name, of which only the last could be found; give each "
+                "a name of its own, or make them one group"
+            )
         return _mesh_of(raw)
     except InputError as error:
         raise InputError(f"mesh {path.name:.100}: {error}") from None
@@ -317,12 +323,24 @@ def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:
             f"refinements: {times} of {mesh.nelements} {CELLS[mesh.dim()]} make more than "
             f"{MOST_CELLS:.0e} of them; take at most {most}"
         )
+    if isinstance(mesh, skfem.MeshTet):
+        return refined(_finer_solid(mesh), times - 1)
     if not isinstance(mesh, skfem.MeshTri2):
         return mesh.refined(times)
     fine, quadratic = _straight(mesh).refined(times), skfem.ElementTriP2()
     places = nested(mesh, quadratic, times, quadratic) @ mesh.doflocs.T
     curved = replace(skfem.MeshTri2.from_mesh(fine), doflocs=np.ascontiguousarray(places.T))
     return _with_names(curved, fine)
+
+
+def _finer_solid(mesh: skfem.MeshTet) -> skfem.MeshTet:
+    """Each tetrahedron in eight, with the names of facets, which scikit-fem drops."""
+    fine = replace(mesh, _boundaries=None).refined()
+    nodes, boundaries = np.vstack([mesh.facets, mesh.nvertices + mesh.f2e]), {}
+    for name, members in (mesh.boundaries or {}).items():
+        touching = sum(fine.p2f[:, node] for node in nodes[:, members])
+        boundaries[name] = np.unique((touching == 3).nonzero()[0])  # within one facet
+    return fine.with_boundaries(boundaries)
 
 
 def nested(
