@@ -195,6 +195,7 @@ def test_a_polyhedron_around_0_is_not_empty_in_any_units():
 def test_sets_that_meet_in_one_point_are_not_empty():
     small = so.Ball([0.1, 0.2], 0.3)
     for C in (
+        UNIT & (UNIT + [2.0, 0.0]),
         small & (small + [0.6, 0.0]),
         UNIT & so.HalfSpace([-1.0, 0.0], -1.0),
     ):
