@@ -55,7 +55,7 @@ from sweepopt.sets import (
     check_features,
     exchanged,
     image,
-    unproved,
+    kind_without_certificate,
 )
 
 Nearest = Callable[[Array, ConvexSet], Array]
@@ -323,7 +323,7 @@ class SweepingProcess(Displayed):
         for _, C in members:
             _check_written(C)
             if not C.certifiable:
-                self.refuse_state(f"{unproved(C)}, which has no certificates,")
+                self.refuse_state(f"{kind_without_certificate(C)}, which has no certificates,")
         for (_, before), (t, C) in pairwise(members):
             # a change of offsets is a finite one
             if before.distance_bound(C) == np.inf:

@@ -93,10 +93,13 @@ class StateFiles:
     def __init__(self, path: Path, u0: Array) -> None:
         netcdf_package()  # told before the run
         self._path, self._size = path, u0.size
-        self._nodes, self._velocities = _unnamed(path.parent), _unnamed(path.parent)
-        self._nodes.write(u0.data)
-        if self._nodes.failure:
-            raise InputError(f"save: {path} cannot be written ({self._nodes.failure.strerror})")
+        try:
+            self._nodes, self._velocities = (_anonymous_file(path.parent) for _ in range(2))
+            self._nodes.write(u0.data)
+            if self._nodes.failure:
+                raise self._nodes.failure
+        except OSError as error:
+            raise InputError(f"save: {path} cannot be written ({error.strerror})") from None
 
     def put(self, step: StepInfo) -> bool:
         """Take the state at the end of the next step and the velocity of the step.
@@ -133,7 +136,7 @@ class StateFiles:
             self.failure = getattr(error, "strerror", "") or repr(error)
 
 
-def _unnamed(folder: Path) -> _Storage:
+def _anonymous_file(folder: Path) -> _Storage:
     with TemporaryFile(dir=folder) as file:
         return _Storage(os.dup(file.fileno()), "r+")
 

@@ -52,9 +52,9 @@ from sweepopt.sets import (
     ConvexSet,
     Polyhedron,
     basis,
+    kind_without_certificate,
     points_of_sum,
     to_bernstein,
-    unproved,
 )
 
 HALVES = np.array([0.0, 0.5, 1.0])
@@ -239,7 +239,7 @@ def _unknown(C: AnySet, data: Motion) -> str:
         if data.offsets is not None and not S.exact_rows:
             return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
         if data.offsets is None and not S.certifiable:
-            return f"nothing is proved of {unproved(S)}"
+            return f"nothing is proved of {kind_without_certificate(S)}"
     for name, f in parts:
         if not f.bounded:
             return (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.sets.aligned import Aligned, Similar, shape_of, unproved
+from sweepopt.sets.aligned import Aligned, Similar, kind_without_certificate, shape_of
 from sweepopt.sets.balls import Ball, Balls, Ellipsoid, SecondOrderCone
 from sweepopt.sets.base import (
     ROUNDING,

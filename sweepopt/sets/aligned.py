@@ -360,7 +360,7 @@ def shape_of(C: ConvexSet) -> ConvexSet:
     return shape_of(C.parts[0]) if isinstance(C, Similar) else C
 
 
-def unproved(C: ConvexSet) -> str:
+def kind_without_certificate(C: ConvexSet) -> str:
     """The kind of a part of which nothing is proved."""
     part = next(part for part in C.form().parts if not part.certifiable)
     return type(shape_of(part)).__name__
