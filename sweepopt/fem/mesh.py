@@ -167,8 +167,8 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
             warnings.filterwarnings("error", "string or file could not be read")
             warnings.filterwarnings("error", category=RuntimeWarning)
             raw = meshio.read(path, file_format="gmsh" if gmsh else None)
-        count_of_names = content.partition(b"$PhysicalNames")[2].split(None, 1)
-        if gmsh and count_of_names and int(count_of_names[0]) > len(raw.field_data):
+        _, _, names = content.partition(b"$PhysicalNames")  # their number, then each
+        if gmsh and names and int(names.split(None, 1)[0]) > len(raw.field_data):
             raise InputError(
                 "has physical groups of one name, of which only the last could be found; give each "
                 "a name of its own, or make them one group"

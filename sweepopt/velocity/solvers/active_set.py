@@ -210,7 +210,10 @@ class Touching(NamedTuple):
 
 
 def _shortest(L: Array, rows: Touching, bend: Array, q: Array) -> tuple[Array, Array] | None:
-    """x with the bent objective's w = q + L x, and z = L^-T x; None if no w is seen."""
+    """The solution of the bent program of `ActiveSet.compile`, as x with w = q + L x, and z.
+
+    None where rounding keeps the method from an answer.
+    """
     G, h, curvature, blocks, point = rows
     one = np.eye(q.size)
     tangent = one - G.T @ ((curvature > 0)[:, None] * G)
