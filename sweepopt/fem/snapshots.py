@@ -378,6 +378,8 @@ def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
             panel.set(**{f"{own}lim": (x.min() - edge, x.max() + edge)})
             name_axis(report, getattr(panel, f"{own}axis"), name, "length")
         panel.locator_params(nbins=4)
+        if not kind:  # panels have the same axes
+            panel.label_outer()
     if image is not None:
         bar = figure.colorbar(image, ax=panels, shrink=0.8)
         name_axis(report, bar.ax.yaxis, field.label, field.quantity)
