@@ -1,5 +1,6 @@
 """Programs on which solvers alone fail, judged by velocities that are exact to 80 digits."""
 
+from decimal import Decimal
 from itertools import chain as joined
 from unittest.mock import Mock
 
@@ -9,7 +10,7 @@ from cases import slow
 from study_table import lie
 
 import sweepopt as so
-from sweepopt.study.hard import FAMILIES, Program, suite
+from sweepopt.study.hard import FAMILIES, Program, exact, suite
 from sweepopt.study.hard.bodies import chain
 from sweepopt.study.hard.suite import GOOD
 from sweepopt.study.hard.velocities import (
@@ -187,9 +188,18 @@ def test_the_judge_sees_wrong_answers_and_certificates(monkeypatch, family):
     assert 1e-10 < near.error < 1.01e-9 + right.error
 
 
-def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
-    monkeypatch,
-):
+def test_the_judge_does_not_trust_its_own_method(monkeypatch):
+    plain = exact.exact_multipliers
+    program, q = Program(np.eye(2), np.eye(2)), np.array([3.0, 0.0])
+    for wrong_by in (1e-12, -1e-12):  # a polyhedron that is left, or whose face is not touched
+        monkeypatch.setattr(
+            exact, "exact_multipliers", lambda *data, by=wrong_by: plain(*data) * (1 + Decimal(by))
+        )
+        with pytest.raises(so.SweepoptError, match="was not found"):
+            program.solve(q, so.Box([-1.0, -1.0], [1.0, 1.0]))
+
+
+def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(monkeypatch):
     monkeypatch.setattr(suite, "solve", Mock(side_effect=so.InputError("path= is in the text")))
     found = judged("small_beta", solvers=["auto"])
     assert [row.path for row in found] == list(PATHS)

@@ -2,7 +2,8 @@
 
 -z in N_C(M z + q) for C = c + E^T S, S a polyhedron or balls: the unknowns beside E z are
 eliminated, the rest is solved by the dual active-set method that polyhedra have for rational
-numbers. It needs no start, so that no solver's answer is favoured. The solution is unique.
+numbers. It needs no start, and its answer is taken only if it satisfies the optimality conditions,
+so that no solver is favoured. The solution is unique.
 """
 
 from collections.abc import Iterator
@@ -98,6 +99,10 @@ def _multipliers(P: Array, q: Array, G: Array, h: Array) -> Array:
     y = exact_multipliers(G, slack + noise, P.dot, noise, ZERO)
     if y is None:
         raise SweepoptError("C has no point")
+    # it is the solution whatever found it: y >= 0, G w <= h, and one of them is 0 in each row
+    residual = abs(np.minimum(y, slack + noise + G @ P @ (y @ G)))
+    if residual.max() > ENOUGH * max(abs(slack).max(), abs(y).max()):
+        raise SweepoptError("the exact velocity was not found")
     return y / scale
 
 
