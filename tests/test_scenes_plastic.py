@@ -77,6 +77,8 @@ def test_the_plate_agrees_with_an_independent_code_in_plane_strain():
     for step, point, component, displacement in HOLE:
         u = at_point(scene, sol, point)[step, component]
         assert u == pytest.approx(displacement, rel=1e-3)
+    # the integral of u_y over the pulled side, m^2: what its tension works with
+    assert scene.load(1.0) @ sol.u[-1] / 450e6 == pytest.approx(21.216092e-6, rel=1e-4)
 
 
 @pytest.mark.slow
