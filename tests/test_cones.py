@@ -73,6 +73,34 @@ def test_other_balls_agree_with_the_program_for_all_unknowns(process):
     assert np.abs(cones.velocity - full.velocity).max() <= 1e-5 * np.abs(full.velocity).max()
 
 
+def block():
+    """A cube that rubs in discs on three faces, whose edges and one corner they share."""
+    faces = {name: lambda x, k=k: x[k] < 1e-9 for k, name in enumerate(("back", "side", "floor"))}
+    mesh = skfem.MeshTet().refined(1).with_boundaries(faces | {"top": lambda x: x[2] > 1 - 1e-9})
+    held = {"back": "x", "side": "y", "floor": "z"}
+    rub = [fem.Friction(name, g) for name, g in (("back", 0.12), ("side", 0.15), ("floor", 0.1))]
+    pull = fem.Traction("top", so.Sine(1.0, period=1.0), f2=[0.5, 0.3, 0.0])
+    effects = [fem.Viscosity(eta=0.1), fem.Elasticity(E=10.0, nu=0.3), *rub, pull]
+    return fem.body(fem.Discretisation(mesh, kind="solid", held=held), effects)
+
+
+@pytest.mark.parametrize(
+    "case", [flow(8, so.Sine(1.0, 4.0), 1.0), flow(6, so.Sine(1.0, 4.0), moved=0.25), block()]
+)
+def test_certificates_bound_the_error_and_go_to_1e_11(case):
+    rough, sharp = (run(case, 6, tol=tol, t_end=0.6) for tol in (1e-6, 1e-11))
+    assert sharp.stats["relative"].max() <= 1e-11
+    assert set(sharp.stats["solver"]) <= {"cones", "at rest"}
+    for i, (z, certificate) in enumerate(
+        zip(rough.velocity, rough.stats["certificate"], strict=True)
+    ):
+        program = rough.step_program(i)
+        moved = so.SweepingProcess(program.M, None, program.C + -program.Bu, 0.0 * z)
+        best = so.solve(moved, t_end=1.0, steps=1, scheme="implicit-euler", tol=1e-11)
+        norm = best.process.metric.norm  # that of M
+        assert norm(z - best.velocity[0]) <= certificate + best.stats["certificate"][0]
+
+
 @pytest.mark.parametrize("g", [0.3, 5.0])
 def test_friction_beside_a_yield_stress_agrees_with_a_program_stated_in_cvxpy(g):
     body = skfem.MeshTri().refined(2).with_defaults()

@@ -183,9 +183,7 @@ def make_plan(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
             "as so.image(E^T, S) with E selecting them"
         )
-    cones = (
-        solver == "auto" and not scheme.exact and _has_cones(process, members, contact, path, tol)
-    )
+    cones = solver == "auto" and not scheme.exact and _has_cones(process, members, contact, path)
     reduced: Reduction | str = "the unknowns shall be kept"
     if path in ("auto", "proportional") and contact is not None and not cones:
         reduced = reduce(process, tol, members[0][0])
@@ -229,13 +227,11 @@ def _has_cones(
     members: Members,
     contact: Array | None,
     path: str,
-    tol: float,
 ) -> bool:
     """Whether the sets are balls on sparse combinations of unknowns, and too many for other ways.
 
-    Those are a dense program of few unknowns, the formula for a diagonal M, and what a tolerance
-    asks for that is below the gap's rounding. Clarabel is none: on 7 to 169 unknowns of a pipe it
-    takes 5 to 24 times as long, and its plugs are not exactly rigid.
+    Those are a dense program of few unknowns and the formula for a diagonal M. Clarabel is none: on
+    7 to 169 unknowns of a pipe it takes 5 to 24 times as long, and its plugs are not exactly rigid.
     """
     metric, sets = process.metric, [untranslated(C).S for _, C in members if not C.singleton]
     finite = Small.max_dim * all(S.polyhedral for S in sets)  # by a finite method
@@ -245,8 +241,7 @@ def _has_cones(
         return False
     diagonal = all(is_diagonal(M) for M in (process.A, process.B) if M is not None)
     formula = diagonal and all(S.exact for S in sets)
-    # gaps are known to the root of twice what sum g |E_k z| rounds, 6e-8 of its root
-    if path == "auto" and (size <= most or formula or tol < 1e-7):
+    if path == "auto" and (size <= most or formula):
         return False
     return bool(sets) and all(blocks(S) is not None for S in sets)
 
