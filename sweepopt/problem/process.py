@@ -154,14 +154,7 @@ class SweepingProcess(Displayed):
         self.C = C.of(self.u0) if isinstance(C, StateDependent) else C
         self.fields = _valid_fields(fields or {}, self.dim)
         self.rate_independent = bool(abs(self.A).max() == 0)
-        given = [M for M in (self.A, self.B) if M is not None]
-        if all((abs(M.sum(axis=1)) <= LOOSE * abs(M).sum(axis=1)).all() for M in given):
-            raise IndefiniteError(
-                "A and B let the body move as a whole: A u = B u = 0 for u = (1, ..., 1). Clamp a "
-                "part of it (leave these unknowns out of A and B), or give a foundation or dashpot;"
-                " a bounded C(t) holds only up to its faces, so give a little of it for an element "
-                "that shall have none"
-            )
+        self._require_held(np.ones(self.dim))
         if self.B is not None:
             require_semidefinite("B", self.B)
         self.time_scale = 0.0
@@ -174,6 +167,7 @@ class SweepingProcess(Displayed):
                     f"{error}; A may be singular only where B is positive, and B is 0"
                 ) from None
             self._set_weak_metric(self.B)
+        self._require_held(self.metric.solve(np.ones(self.dim)))  # near a null vector, if one is
         self.coercive = self.time_scale == 0.0
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -210,6 +204,17 @@ class SweepingProcess(Displayed):
                 "can move or turn as a whole, or give these unknowns viscosity or elasticity, a "
                 "little of it for an element that shall have none"
             ) from None
+
+    def _require_held(self, u: Array) -> None:
+        """Refuse A and B that both map u to rounding."""
+        given = [M for M in (self.A, self.B) if M is not None]
+        if all((abs(M @ u) <= LOOSE * (abs(M) @ abs(u))).all() for M in given):
+            raise IndefiniteError(
+                "A and B let the body move as a whole: A u = B u = 0 for one u other than 0. Clamp "
+                "a part of it (leave these unknowns out of A and B), or give a foundation or "
+                "dashpot; a bounded C(t) holds only up to its faces, so give a little of it for an "
+                "element that shall have none"
+            )
 
     def as_sweeping(self) -> SweepingProcess:
         """The process itself; for an `EvolutionVI` C(t) = f(t) - (D + the polar cone of K)."""
