@@ -304,7 +304,8 @@ def _refuse_cells(mesh: skfem.Mesh, bad: NDArray[np.bool_], fault: str) -> None:
         k = int(np.argmax(bad))
         place = ", ".join(f"{x:g}" for x in mesh.p[:, mesh.t[:, k]].mean(axis=1))
         what = ("interval", "triangle", "tetrahedron")[mesh.dim() - 1]
-        raise InputError(f"{what} {k} near ({place}) {fault}; repair the mesh, or the points of a grid")
+        repair = "repair the mesh, or the points of a grid"
+        raise InputError(f"{what} {k} near ({place}) {fault}; {repair}")
 
 
 def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:
