@@ -206,14 +206,15 @@ class SweepingProcess(Displayed):
             ) from None
 
     def _require_held(self, u: Array) -> None:
-        """Refuse A and B that both map u to rounding."""
+        """Refuse A and B that both map u to rounding, or the piece of the body that moves most."""
+        u = np.where(abs(u) > np.sqrt(EPS) * abs(u).max(), u, 0.0)
         given = [M for M in (self.A, self.B) if M is not None]
         if all((abs(M @ u) <= LOOSE * (abs(M) @ abs(u))).all() for M in given):
             raise IndefiniteError(
                 "A and B let the body move as a whole: A u = B u = 0 for one u other than 0. Clamp "
-                "a part of it (leave these unknowns out of A and B), or give a foundation or "
-                "dashpot; a bounded C(t) holds only up to its faces, so give a little of it for an "
-                "element that shall have none"
+                "a part of it, or of each piece (leave these unknowns out of A and B), or give a "
+                "foundation or dashpot; a bounded C(t) holds only up to its faces, so give a "
+                "little of it for an element that shall have none"
             )
 
     def as_sweeping(self) -> SweepingProcess:
