@@ -116,9 +116,7 @@ def test_a_common_kernel_is_refused_and_a_little_elasticity_tends_to_the_play():
     A, B = np.zeros((2, 2)), np.array([[1.0, -1.0], [-1.0, 1.0]])
     load = so.Separable([(so.Triangle(0.75, 4.0), [1.0, 0.0])])
     C = so.Moving(so.Box([-0.5, -0.3], [0.5, 0.3]), center=load)
-    with pytest.raises(
-        so.InputError, match=r"bounded C.* a little of it for an element that shall"
-    ):
+    with pytest.raises(so.InputError, match=r"bounded C.* a little elasticity to an element"):
         so.SweepingProcess(A, B, C, [0.0, 0.0])
     errors = []
     for little in (1e-2, 1e-3, 1e-4, 1e-5):
