@@ -370,7 +370,9 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
         i, j = np.unravel_index(difference.argmax(), difference.shape)
         raise InputError(
             f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:.15g} but "
-            f"{name}[{j}, {i}] = {result[j, i]:.15g}; pass ({name} + {name}.T) / 2 if that is meant"
+            f"{name}[{j}, {i}] = {result[j, i]:.15g}; leave out rows and columns of what is held, "
+            "if a finite element code has put a 1 on the diagonal there (with scikit-fem: condense,"
+            f" not enforce); pass ({name} + {name}.T) / 2 if rounding did it"
         )
     if difference.max() > 0:
         result = matrix(name, 0.5 * (result + result.T))
