@@ -166,8 +166,9 @@ def agree(**sizes: int) -> None:
             f"{name} is {size} x {size}" if name in "AB" else f"{name} has dim {size}"
             for name, size in sizes.items()
         )
-        hint = ""
-        if sizes.get("dissipation", sizes.get("C")) == 1 < most:
+        size = sizes.get("dissipation", sizes.get("C", most))
+        hint = "; a set for some unknowns E u is so.image(E.T, set)" * (size < most)
+        if size == 1 < most:
             g = f"g * np.ones({most})"
             hint = f"; a bound g of each unknown is so.Box(-{g}, {g})"
         raise InputError(f"{every}: give all the same number of unknowns; at odds: {odd}{hint}")
