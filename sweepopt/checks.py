@@ -166,8 +166,9 @@ def agree(**sizes: int) -> None:
             f"{name} is {size} x {size}" if name in "AB" else f"{name} has dim {size}"
             for name, size in sizes.items()
         )
-        hint = ""
-        if sizes.get("dissipation", sizes.get("C")) == 1 < most:
+        size = sizes.get("dissipation", sizes.get("C", most))
+        hint = "; a set for some unknowns E u is so.image(E.T, set)" * (size < most)
+        if size == 1 < most:
             g = f"g * np.ones({most})"
             hint = f"; a bound g of each unknown is so.Box(-{g}, {g})"
         raise InputError(f"{every}: give all the same number of unknowns; at odds: {odd}{hint}")
@@ -370,7 +371,9 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
         i, j = np.unravel_index(difference.argmax(), difference.shape)
         raise InputError(
             f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:.15g} but "
-            f"{name}[{j}, {i}] = {result[j, i]:.15g}; pass ({name} + {name}.T) / 2 if that is meant"
+            f"{name}[{j}, {i}] = {result[j, i]:.15g}; leave out rows and columns of what is held, "
+            "if a finite element code has put a 1 on the diagonal there (with scikit-fem: condense,"
+            f" not enforce); pass ({name} + {name}.T) / 2 if rounding did it"
         )
     if difference.max() > 0:
         result = matrix(name, 0.5 * (result + result.T))

@@ -64,9 +64,10 @@ def by_parts(thing: Any) -> str:
     parts = ((name, getattr(thing, name, None)) for name in signature(type(thing)).parameters)
     none = (type(None), tuple)  # what was not given: None, or an empty list of more
     given = [(name, one) for name, one in parts if not isinstance(one, none) or one]
-    words = [f"{name}={brief(one)}" for name, one in given if name != "dim"]
+    operands = getattr(thing, "operands", ())
+    words = [f"{name}={brief(one)}" for name, one in given if name != "dim" and not operands]
     if "parts" not in dict(given):  # what an operation made it of
-        words += map(brief, getattr(thing, "operands", ()) or getattr(thing, "parts", ()))
+        words += map(brief, operands or getattr(thing, "parts", ()))
     if dim := getattr(thing, "dim", None):
         words.insert(0, f"dim {dim}")
     text = f"{type(thing).__name__}({', '.join(words)})"
@@ -84,7 +85,7 @@ class Brief:
         return ""
 
     def _repr_html_(self) -> str:
-        return f"<code>{escape(repr(self))}</code>{self._picture()}"
+        return f"<pre>{escape(repr(self))}</pre>{self._picture()}"
 
 
 class Displayed(Brief):

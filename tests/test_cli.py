@@ -98,7 +98,7 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(monkeypatch, cap
         "tolerance           1e-06",
         "The run reached t_end and every step is certified within tol.",
         "of the contact slips",
-        "J m-1 = stored 0 + viscous",
+        "J/m = stored 0 + viscous",
         "worst certificate",
         "solution.nc, displacement.png, stress.png, contact.png, vtu/solution.vtu.series, ",
     ):
@@ -106,7 +106,7 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(monkeypatch, cap
     work, stored, spent, rubbed, rest = map(
         float,
         re.search(
-            r"work (\S+) J m-1 = stored (\S+) \+ viscous (\S+) \+ \S+ and \S+ (\S+) J m-1; "
+            r"work (\S+) J/m = stored (\S+) \+ viscous (\S+) \+ \S+ and \S+ (\S+) J/m; "
             r"balance error (\S+)",
             shown.out,
         ).groups(),
@@ -131,7 +131,7 @@ def test_of_a_prescribed_displacement_the_energies_that_are_known_are_said(capsy
     assert run("--set", pull, files=False) == 0
     (line,) = re.findall("^energy.*", capsys.readouterr().out, re.MULTILINE)
     rubbed = summary_in(Path("out"))["energy"]["friction"]
-    words = "J m-1; the others are not known where a displacement is prescribed"
+    words = "J/m; the others are not known where a displacement is prescribed"
     assert line.endswith(f"friction and yielding {rubbed:.4g} {words}")
 
 

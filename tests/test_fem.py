@@ -511,3 +511,14 @@ def test_two_middle_nodes_of_one_edge_are_refused(tmp_path):
     meshio.write(tmp_path / "square.vtk", mesh)
     with pytest.raises(InputError, match="have not one middle node each"):
         read_mesh(tmp_path / "square.vtk")
+
+
+def test_an_effect_finds_the_facets_of_one_boundary_or_of_several():
+    """As on = "top" and on = ["top", "left"] of a scene file give them to an own effect."""
+    body = antiplane_square(clamped="bottom").discretisation
+    one, of_each = body.facets("on", "top")
+    np.testing.assert_array_equal(one, np.sort(body.mesh.boundaries["top"]))
+    assert of_each["top"].tolist() == list(range(one.size))
+    both, of_each = body.facets("on", ["top", "left"])
+    assert set(both[of_each["top"]]) == set(one)
+    assert set(both) > set(one)

@@ -402,7 +402,13 @@ def test_notebooks_show_rows_with_the_words_of_users_escaped():
     assert "<td>plates &lt;1 &amp; 2&gt;<" in TITLED._repr_html_()
     for this in (PLAIN, TITLED, RUN, RUN.plan):
         assert this._repr_html_().count("<tr>") == repr(this).count("\n") + 1
-    assert so.Ball([0.0, 0.0], 1.0)._repr_html_().startswith("<code>Ball(dim 2, center=[0., 0.]")
+    assert so.Ball([0.0, 0.0], 1.0)._repr_html_().startswith("<pre>Ball(dim 2, center=[0., 0.]")
+
+
+def test_sums_and_intersections_show_what_they_are_made_of_once_and_sum_adds_sets():
+    square, disc = so.Box([-1, -1], [1, 1]), so.Ball([0, 0], 1)
+    for made, name in ((sum([square, disc]), "Sum"), (square & disc, "Intersection")):
+        assert " ".join(repr(made).split()) == f"{name}(dim 2, {square!r}, {disc!r})"
 
 
 def test_notebooks_show_small_pictures():

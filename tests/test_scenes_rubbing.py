@@ -24,7 +24,7 @@ def test_the_bar_follows_the_parabola_of_its_slip_front_and_masings_rule():
     slipped = np.abs(scene.displacement(solution)[40]) > 0.0
     assert scene.discretisation.points[slipped, 0].max() == pytest.approx(F / g - 0.005)
     assert solution.stats["relative"].max() <= 1e-6
-    assert Report(scene, solution).units["traction"] == "N m-1"  # as g has it
+    assert Report(scene, solution).units["traction"] == "N/m"  # as g has it
 
 
 # The sheet on an orbiting table
@@ -35,7 +35,7 @@ def test_the_orbiting_load_of_the_sheet_is_data_and_its_bound_close():
     data = read_toml(find_scene("sheet"))
     data["domain"]["mesh"]["cells"] = [6, 4]
     scene = read_scene(data)
-    for t in (0.0, 1.2, 3.5, 9.4):
+    for t in (0.0, 1.2, 3.5, 7.8):
         force = 2.5 * min(t / np.pi, 1.0) * np.array([np.cos(2 * t), np.sin(2 * t)])
         total = scene.process.C.center(t).reshape(-1, 2).sum(axis=0)
         np.testing.assert_allclose(total, 1.5 * force, atol=1e-13)

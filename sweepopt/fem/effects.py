@@ -925,7 +925,8 @@ def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
 def _check_compressible(nu: Array) -> None:
     if nu.max() >= 0.5:
         raise InputError(
-            f"nu must be < 0.5, got {nu.max():g}: incompressible bodies are not in the class"
+            f"nu must be < 0.5, got {nu.max():g}: incompressible bodies are not in the class; in "
+            "plane stress 0.499999 gives the same"
         )
 
 

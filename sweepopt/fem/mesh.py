@@ -192,7 +192,7 @@ def check_mesh(mesh: skfem.Mesh) -> None:
     """
     if not isinstance(mesh, (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)):
         raise InputError(
-            f"mesh must have intervals, triangles or tetrahedra, not be a {type(mesh).__name__}"
+            f"must have intervals, triangles or tetrahedra, not be a {type(mesh).__name__}"
         )
     bounded("nodes", mesh.doflocs.T, "finite coordinates")
     corners = mesh.p[:, mesh.t]
@@ -304,7 +304,8 @@ def _refuse_cells(mesh: skfem.Mesh, bad: NDArray[np.bool_], fault: str) -> None:
         k = int(np.argmax(bad))
         place = ", ".join(f"{x:g}" for x in mesh.p[:, mesh.t[:, k]].mean(axis=1))
         what = ("interval", "triangle", "tetrahedron")[mesh.dim() - 1]
-        raise InputError(f"{what} {k} near ({place}) {fault}; repair the mesh")
+        repair = "repair the mesh, or the points of a grid"
+        raise InputError(f"{what} {k} near ({place}) {fault}; {repair}")
 
 
 def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:

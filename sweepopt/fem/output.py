@@ -38,17 +38,17 @@ VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra1
 SI = {
     "time": "s",
     "length": "m",
-    "velocity": "m s-1",
+    "velocity": "m/s",
     "stress": "Pa",
-    "force": "N m-1",
-    "energy": "J m-1",
+    "force": "N/m",
+    "energy": "J/m",
     "certificate": "W^0.5 m^-0.5",
     "viability": "W^0.5 m^-0.5",
 }
 """Units of bodies in the plane; energies and forces are per length of the body."""
 OF_WHOLE_BODIES = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
 """Those of solids, bars, chains and sheets, whose loads are not per length."""
-WEIGHTS, TRACTIONS = ("1", "m", "m2", "m3"), ("N", "N m-1", "Pa", "Pa m-1")
+WEIGHTS, TRACTIONS = ("1", "m", "m2", "m3"), ("N", "N/m", "Pa", "Pa/m")
 """Of contact nodes, by the dimension of what slips; forces of them, and one more if per length."""
 
 

@@ -130,8 +130,9 @@ def read_scene(
         pictures = ["contact"]          # of a run, [] for none; all that fit if not given
         [domain]
         mesh = "tube.msh"               # Gmsh, VTU, Abaqus; groups by name
-        # mesh = { sizes = [2.0, 1.0], cells = [20, 10] }: sides left, right, bottom, top (front,
-        # back); one size is an interval, three are a box; points = ["x**2", "y"] moves its points
+        # mesh = { sizes = [2.0, 1.0], cells = [20, 10] }: one size is an interval, three are a box;
+        # its sides are left, right (along x), bottom, top (y), front, back (z); points =
+        # ["x**2", "y"] moves its points
         # mesh = { nodes = 50 }: a chain with nodes at x = 0, 1, ..., for kind = "lumped"
         kind = "antiplane"              # or "plane strain", "plane stress", "solid", "lumped"
         clamped = "bonded"              # a name or a list; "clamped" if not given

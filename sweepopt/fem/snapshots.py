@@ -360,7 +360,7 @@ def off_screen() -> Any:
 
 def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any:
     """The field on a panel, and the time."""
-    panel.set_title(report.moment(report.solution.t[steps[i] + 1]), fontsize="medium")
+    panel.set_title(report.moment(report.solution.t[steps[i] + 1]), fontsize="medium", pad=14)
     return field.draw(panel, i)
 
 

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import choice, count, floats, meaning
+from sweepopt.checks import at_path, choice, count, floats, meaning
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
@@ -126,7 +126,8 @@ class Discretisation(Brief):
         if not isinstance(self.mesh, skfem.Mesh):
             path = as_path("a mesh that is no skfem.Mesh", self.mesh)
             object.__setattr__(self, "mesh", read_mesh(path))
-        check_mesh(self.mesh)
+        with at_path("mesh: "):
+            check_mesh(self.mesh)
         if self.mesh.dim() not in dimensions:
             needs = " or ".join(CELLS[k] for k in dimensions)
             fitting = ", ".join(kind for kind, some in KINDS.items() if self.mesh.dim() in some)
@@ -305,7 +306,7 @@ class Discretisation(Brief):
             return np.empty((0, 3), dtype=np.int64)
         return np.vstack([nodes[corners].T for corners in SPLIT[self.element]])
 
-    def facets(self, what: str, names: Sequence[str]) -> tuple[Indices, dict[str, Indices]]:
+    def facets(self, what: str, names: str | Sequence[str]) -> tuple[Indices, dict[str, Indices]]:
         """Boundary facets of the named groups, each once, and which of them are in each group.
 
         Parameters
@@ -313,6 +314,7 @@ class Discretisation(Brief):
         what : str
             The argument that names them, for errors.
         """
+        names = [names] if isinstance(names, str) else names
         boundaries = self.mesh.boundaries or {}
         for name in names:
             if name not in boundaries:

@@ -24,7 +24,7 @@ from sweepopt.sets import ROUNDING, ConvexSet
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity, of_fixed_point
 
 PARTS = (2, 4, 8, 16)  # of a step that missed its tolerance: halved like steps of adaptive grids
-BY_EULER = ", implicit-euler"  # after the solver of a step that was taken by steps of that
+BY_EULER = " (implicit-euler)"  # after the solver of a step that was taken by steps of that
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
 Stages = list[Velocity]
 

@@ -61,6 +61,12 @@ from sweepopt.sets import (
 Nearest = Callable[[Array, ConvexSet], Array]
 LOOSE = 64 * EPS  # share of a row's entries that assembly rounds in their sum
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
+NOT_HELD = (
+    "A and B let the body move as a whole: A u = B u = 0 for one u other than 0 (their common "
+    "kernel), whose size nothing determines. Clamp a part of the body, or of each piece (leave "
+    "these unknowns out of A and B), or give a foundation or dashpot. A bounded C(t) holds only up "
+    "to its faces: give a little elasticity to an element that shall have none"
+)
 SHOWN = 5  # jumps that a warning names
 MANY = 1000
 """Unknowns of dense matrices that are worth a warning: steps of 4,000 take 1.7 s, sparse 3 ms."""
@@ -154,14 +160,7 @@ class SweepingProcess(Displayed):
         self.C = C.of(self.u0) if isinstance(C, StateDependent) else C
         self.fields = _valid_fields(fields or {}, self.dim)
         self.rate_independent = bool(abs(self.A).max() == 0)
-        given = [M for M in (self.A, self.B) if M is not None]
-        if all((abs(M.sum(axis=1)) <= LOOSE * abs(M).sum(axis=1)).all() for M in given):
-            raise IndefiniteError(
-                "A and B let the body move as a whole: A u = B u = 0 for u = (1, ..., 1). Clamp a "
-                "part of it (leave these unknowns out of A and B), or give a foundation or dashpot;"
-                " a bounded C(t) holds only up to its faces, so give a little of it for an element "
-                "that shall have none"
-            )
+        self._require_held(np.ones(self.dim))
         if self.B is not None:
             require_semidefinite("B", self.B)
         self.time_scale = 0.0
@@ -174,6 +173,7 @@ class SweepingProcess(Displayed):
                     f"{error}; A may be singular only where B is positive, and B is 0"
                 ) from None
             self._set_weak_metric(self.B)
+        self._require_held(self.metric.solve(np.ones(self.dim)))  # near a null vector, if one is
         self.coercive = self.time_scale == 0.0
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -203,13 +203,14 @@ class SweepingProcess(Displayed):
             if (H := exchanged(M, C.selection)) is not None:
                 self.metric = Factor(M + H, "A + tau B")
                 return
-            raise IndefiniteError(
-                "A + tau B must be positive definite for every tau > 0: on the common kernel of A "
-                "and B nothing determines the velocity, and a bounded C(t) does so only up to its "
-                "faces, where no certificate tells several velocities apart; hold the body, if it "
-                "can move or turn as a whole, or give these unknowns viscosity or elasticity, a "
-                "little of it for an element that shall have none"
-            ) from None
+            raise IndefiniteError(NOT_HELD) from None
+
+    def _require_held(self, u: Array) -> None:
+        """Refuse A and B that both map u to rounding, or the piece of the body that moves most."""
+        u = np.where(abs(u) > np.sqrt(EPS) * abs(u).max(), u, 0.0)
+        given = [M for M in (self.A, self.B) if M is not None]
+        if all((abs(M @ u) <= LOOSE * (abs(M) @ abs(u))).all() for M in given):
+            raise IndefiniteError(NOT_HELD)
 
     def as_sweeping(self) -> SweepingProcess:
         """The process itself; for an `EvolutionVI` C(t) = f(t) - (D + the polar cone of K)."""

@@ -40,7 +40,10 @@ class Energy(NamedTuple):
 
     @property
     def balance(self) -> Array:
-        """stored + viscous + friction - work: zero up to the error of the scheme."""
+        """stored + viscous + friction - work: zero but for errors of the scheme and within steps.
+
+        u is taken as linear within a step, also where scheme="exact" knows it at both ends.
+        """
         return self.stored + self.viscous + self.friction - self.work
 
 

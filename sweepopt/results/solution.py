@@ -191,7 +191,7 @@ class Solution(Displayed):
         t (its end), seconds, iterations, attempts, certificate (the largest bound of |z - z*|_M
         over the programs that the step solved), relative (the certificate in units of the program's
         size, what tol bounds), solver (who found it: a solver's name, "linear",
-        "closed form" or "at rest"; "newton, implicit-euler" for a step that sdirk32 took by steps
+        "closed form" or "at rest"; "newton (implicit-euler)" for a step that sdirk32 took by steps
         of implicit Euler; "clarabel/4" for one in 4 parts, as breakpoints of the load lie in it or
         it missed tol as a whole: its programs are those of the parts, M = A + gamma h B with their
         lengths h, and no bound of how far its mean velocity is from that of one whole step).
@@ -306,7 +306,7 @@ class Solution(Displayed):
         is sum_k b_k z_k, b the weights ``plan.scheme.b``. It is that of the whole step, also where
         the run took it in parts ("clarabel/4" in `stats`) and ``velocity[i]`` is their mean: where
         scheme "auto" met breakpoints of the load, or its own solvers missed tol on this program.
-        Where sdirk32 took five steps of implicit Euler ("newton, implicit-euler"), these are its
+        Where sdirk32 took five steps of implicit Euler ("newton (implicit-euler)"), these are its
         stages, with equal weights.
 
         Parameters

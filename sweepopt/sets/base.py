@@ -294,7 +294,9 @@ class Operators(Brief):
     def __matmul__(self, _: Any) -> Any:
         raise InputError("C @ M is not defined; an image is M @ C")
 
-    __radd__ = __add__
+    def __radd__(self, other: Any) -> Any:
+        return self if isinstance(other, int) and not other else self + other  # sum() adds to 0
+
     __mul__ = __rmul__
 
 
