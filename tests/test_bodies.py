@@ -507,6 +507,9 @@ def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_
     both = Discretisation(square(2), ["left", "bottom"])
     with pytest.raises(so.InputError, match=r"effects\[2\].on: left shares nodes with bottom"):
         body(both, [*MATERIAL, moved, PrescribedDisplacement("bottom", ramp)])
+    names = ["left", "bottom"]
+    with pytest.raises(so.InputError, match="d: two of left, bottom share nodes and move them"):
+        body(both, [*MATERIAL, PrescribedDisplacement(names, ramp, {"left": 1.0, "bottom": 0.0})])
     scene = body(both, [*MATERIAL, moved])  # what is clamped beside it gives way
     end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
     np.testing.assert_allclose(end[left], 1.0 + block.points[left, 1], rtol=1e-14)

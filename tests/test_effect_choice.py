@@ -16,6 +16,7 @@ from sweepopt.fem import (
     Initial,
     Plasticity,
     SlipWeakening,
+    Viscosity,
     body,
     compare_effects,
     grid,
@@ -222,6 +223,22 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block):
     # what pictures show
     assert np.allclose(slip.bound, bound, rtol=1e-9)
     assert np.allclose(abs(slip.use[slips]), 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("axes", [None, [3.0, 1.0]])
+def test_the_slip_at_a_slanted_corner_is_that_along_the_tangent(axes):
+    """The corner moves up the wall that holds it; its slip is less by the sine of the slope."""
+    space = Discretisation(
+        grid([1.0, 1.0], [1, 1], ["x", "y - 0.8 * x"]),
+        "right",
+        kind="plane strain",
+        held={"left": "n"},
+    )
+    law = SlipWeakening(0.1, 0.2)
+    effects = [Viscosity(1.0), Friction("bottom", 0.3, axes=axes, slip=law)]
+    (rubs,) = body(space, effects).yields
+    u = space.interpolate(["0", "0.07"])
+    assert rubs.at(0.0, u) == pytest.approx(rubs.at(0.0) * law(0.07 * 0.8 / np.hypot(1.0, 0.8)))
 
 
 T = [0.0, 0.37, 1.13, 1.71, 2.0]

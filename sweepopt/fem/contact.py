@@ -69,6 +69,8 @@ class Yield(Brief):
         Bound of each block's force, per length, area or volume.
     histories : sequence of callable
         Functions of time that g is made of, as data: steps end at their breakpoints.
+    lengths : as metric, or None
+        <lengths x, x> is the square of the displacement along the tangents, which `slip` takes.
     label : str
         What errors put in front of g, such as "effects.friction."; a scene sets it.
     metric : ndarray, shape (m, block, block), or None
@@ -92,6 +94,7 @@ class Yield(Brief):
     contact: Contact | None = None
     slip: SlipLaw | None = None
     histories: Sequence[Callable[[float], Any]] = ()
+    lengths: Array | None = None
     label: str = ""
 
     def check(self, start: float) -> None:
@@ -115,7 +118,8 @@ class Yield(Brief):
         if self.slip is None or u is None:
             return radii
         moved = (self.rows.E @ u).reshape(-1, self.rows.block)
-        return radii * self.slip(np.linalg.norm(moved, axis=1))
+        along = moved if self.lengths is None else np.einsum("kij,kj->ki", self.lengths, moved)
+        return radii * self.slip(np.sqrt((moved * along).sum(axis=1)))
 
     @property
     def factors(self) -> str:
@@ -356,12 +360,14 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         )
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
-        metric = _metric(body, directions[mine][some >= 0], block, law.axes)
+        metric, lengths = (
+            _metric(body, directions[mine][some >= 0], block, axes) for axes in (law.axes, None)
+        )
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
         histories = () if law.history is None else (law.history,)
-        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories))
+        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories, lengths))
     return yields
 
 

@@ -656,7 +656,13 @@ class PrescribedDisplacement(Record):
         place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
         full = np.zeros(body.nodes.size)
         for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
-            full[dofs[place.nodes.T]] = place.values(coefficient, datum)
+            at, values = dofs[place.nodes.T], place.values(coefficient, datum)
+            full[at] = values
+            if np.abs(full[at] - values).max() > TURNED * np.abs(values).max():
+                raise InputError(
+                    f"d: two of {', '.join(self.on)} share nodes and move them differently; let d "
+                    "agree there, as one formula in x and y does"
+                )
         T = body.frame.T
         along = T.T @ full
         given = np.abs(along) > TURNED * np.abs(along).max()
