@@ -525,6 +525,29 @@ def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_
     np.testing.assert_allclose(end[np.argmin(wedge.points.sum(axis=1))], [0.1, 0.2], rtol=1e-14)
 
 
+def test_several_frictions_on_a_boundary_share_its_length():
+    """Its length counted once for each of them, so that tractions and bounds were halved."""
+    mesh = grid([2.0, 1.0], [4, 2])
+    half = [k for k in mesh.boundaries["bottom"] if mesh.p[0, mesh.facets[:, k]].max() <= 1.0]
+    plate = Discretisation(mesh.with_boundaries({"half": half}), "top")
+    pull = Traction(["left", "right"], so.Sine(3.0, period=4.0))
+    laws = [
+        [Friction("bottom", 0.3)],
+        [Friction("bottom", 0.1), Friction("bottom", 0.2)],
+        [Friction(["half", "bottom"], 0.3)],
+        [Friction("bottom", 0.1), Friction("half", 0.2)],
+    ]
+    scenes = [body(plate, [*MATERIAL, pull, *law]) for law in laws]
+    first, *others = [slip_of(scene, scene.solve(t_end=1.0, steps=2)) for scene in scenes]
+    for slip in others:
+        np.testing.assert_allclose(slip.contact.weight, [0.25, 0.5, 0.5, 0.5, 0.25])
+        np.testing.assert_array_equal(slip.contact.arc, [0.0, 0.5, 1.0, 1.5, 2.0])
+    for slip in others[:2]:
+        np.testing.assert_allclose(slip.traction, first.traction, rtol=1e-9)
+        np.testing.assert_allclose(slip.bound, 0.3)
+    np.testing.assert_allclose(others[2].bound[0], [0.3, 0.3, 0.2, 0.1, 0.1])
+
+
 def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():
     ramp, mesh = so.Table([0.0, 1.0], [0.0, 1.0]), square(2)
     sides = {"left": "x", "bottom": "n"}

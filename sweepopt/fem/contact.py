@@ -233,9 +233,10 @@ class Contact(Brief):
         Name of the boundary or subdomain it is on.
     arc : ndarray, shape (m,)
         Arc length along the boundaries, one after the other; nan where there is no curve.
-    weight, bound : ndarray, shape (m,)
-        w_k (a length, an area or a volume) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound
-        that moves that at the start.
+    parts : sparse, shape (m, facets and cells of the mesh)
+        What each node stands for of each facet or cell with friction, whose sum is w_k.
+    bound : ndarray, shape (m,)
+        g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound that moves that at the start.
     """
 
     unknown: Indices
@@ -243,11 +244,16 @@ class Contact(Brief):
     points: Array
     boundary: NDArray[np.str_]
     arc: Array
-    weight: Array
+    parts: sp.csr_array
     bound: Array
 
     def __len__(self) -> int:
         return int(self.unknown.shape[0])
+
+    @cached_property
+    def weight(self) -> Array:
+        """w_k, a length, an area or a volume: the sum of its parts, shape (m,)."""
+        return np.asarray(self.parts.sum(axis=1))
 
     @property
     def threshold(self) -> Array:
@@ -271,7 +277,7 @@ class Contact(Brief):
 
 
 def merged(contacts: Sequence[Contact]) -> Contact | None:
-    """All nodes with friction of a scene; a node that two share counts once, with both weights."""
+    """All nodes with friction, and all facets on which several act, each once."""
     if not contacts:
         return None
 
@@ -279,15 +285,19 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
         return np.concatenate([getattr(one, name) for one in contacts])
 
     unknown, keep, owner = _owners(contacts)
-    sums = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
-    weight, threshold = (one.astype(float) for one in sums)
+    threshold, parts = np.bincount(owner, joined("threshold")).astype(float), sp.csr_array((0, 0))
+    for one, rows in zip(contacts, np.split(owner, np.cumsum([*map(len, contacts)])), strict=False):
+        parts.resize(keep.size, one.parts.shape[1])
+        ones = np.ones(len(one)), (rows, np.arange(len(one)))
+        parts = parts.maximum(sp.csr_array(ones, shape=(keep.size, len(one))) @ one.parts)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
     unknown = unknown[keep]
     if (unknown >= 0).sum(axis=1).max() == 1:
         unknown = unknown.max(axis=1)
-    return Contact(unknown, node, points, boundary, arc[keep], weight, threshold / weight)
+    weight = np.asarray(parts.sum(axis=1))
+    return Contact(unknown, node, points, boundary, arc[keep], parts, threshold / weight)
 
 
 def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
@@ -328,6 +338,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         return np.asarray(_thresholds(law, place, N, t, law.history)[k] / weight[k])
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
+    parts = _parts(body, place)
     threshold, at_start = (
         _thresholds(law, place, N, body.start, phi) for phi in (None, law.history)
     )
@@ -356,7 +367,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
         contact = Contact(
-            some, k, body.points[k], names[at], arc[at], weight[k], at_start[k] / weight[k]
+            some, k, body.points[k], names[at], arc[at], parts[k], at_start[k] / weight[k]
         )
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
@@ -379,6 +390,16 @@ def _thresholds(law: Friction, place: Place, size: int, t: float, phi: Any) -> A
         )
     forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
+
+
+def _parts(body: Discretisation, place: Place) -> sp.csr_array:
+    """What each node stands for of each facet, and behind these of each cell."""
+    mesh, basis = body.mesh, place.basis
+    of_cells = mesh.nfacets + np.arange(mesh.nelements)
+    at = basis.find if hasattr(basis, "normals") else of_cells[basis.tind].ravel()
+    rows, columns = place.nodes.T, np.broadcast_to(at[:, None], basis.dx.shape)
+    entries = basis.dx.ravel(), (rows.ravel(), columns.ravel())
+    return sp.csr_array(entries, shape=(body.scalar.N, mesh.nfacets + mesh.nelements))
 
 
 def _slipping(
@@ -418,7 +439,7 @@ def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
     """
     nodes, groups = place.nodes.T, place.groups
     names = np.full(nodes.shape, "body", dtype=object)
-    for name, members in groups.items():
+    for name, members in reversed(groups.items()):
         names[members] = name
     arc = np.full(nodes.shape, np.nan)
     if hasattr(place.basis, "normals") and body.mesh.dim() == 2:
@@ -426,6 +447,7 @@ def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
         normal_x, normal_y = place.basis.normals.mean(axis=2)
         nodes = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
         order = np.concatenate([mine[_walk(body.points, nodes[mine])] for mine in groups.values()])
+        order = order[np.sort(np.unique(order, return_index=True)[1])]  # some are in two groups
         length = place.basis.dx[order].sum(axis=1)
         ends = np.cumsum(length)
         arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1)
