@@ -623,6 +623,10 @@ def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
     u = scene.discretisation.expand(sp.linalg.spsolve(scene.problem.B, scene.load(0.0)))
     strain = 0.01 * (1.3 if kind == "plane strain" else 1.0)
     np.testing.assert_allclose(u, strain * scene.discretisation.points, atol=1e-14)
+    for other in (replace(heat, E=2.0), replace(heat, nu=0.2)):
+        with pytest.raises(so.InputError, match=r"effects\[2\].E: the elasticity .* other moduli"):
+            body(space(kind), [*MATERIAL, other])
+        body(space(kind), [*MATERIAL, replace(other, strain=0.0)])
 
 
 @dataclass(frozen=True)

@@ -714,7 +714,8 @@ class Eigenstrain(Record):
     Raises
     ------
     InputError
-        If a value is out of its range, or the body is in antiplane shear.
+        If a value is out of its range or the elasticity's moduli are others, or the body is in
+        antiplane shear.
 
     Examples
     --------
@@ -743,6 +744,17 @@ class Eigenstrain(Record):
         place = body.whole
         strain, E, nu = self.values_at(place)
         _check_compressible(nu)
+        laws = [one.lame(body, place) for one in body.effects if hasattr(one, "lame")]
+        if laws and all(mu is not None for _, mu in laws):
+            lam, mu = map(sum, zip(*laws, strict=True))
+            same = np.isclose(E, 2 * mu * (1 + nu)) & np.isclose(
+                E, (3 * lam + 2 * mu) * (1 - 2 * nu)
+            )
+            if not same[strain != 0].all():
+                raise InputError(
+                    "E: the elasticity of the scene has other moduli where the eigenstrain acts, "
+                    "which would make another strain; give the same E and nu"
+                )
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
         f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
         return Contribution(loads=[(self.history, body.restrict(f))])
