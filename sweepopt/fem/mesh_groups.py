@@ -68,7 +68,8 @@ def group_entities(raw: meshio.Mesh, content: bytes) -> None:
                 names.get((tag, dimension), str(tag)), [np.arange(0) for _ in raw.cells]
             )
             for k, block in enumerate(raw.cells):
-                if (block.dim, raw.cell_data["gmsh:geometrical"][k][:1]) == (dimension, entity):
+                own = raw.cell_data["gmsh:geometrical"][k]
+                if block.dim == dimension and (own == entity).all():
                     members[k] = np.arange(len(block.data))
     raw.cell_data.pop("gmsh:physical", None)
     raw.cell_sets = groups
@@ -77,7 +78,7 @@ def group_entities(raw: meshio.Mesh, content: bytes) -> None:
 def _physical(content: bytes) -> Iterator[tuple[tuple[int, int], list[int]]]:
     """Dimension and number of each entity of a Gmsh 4 file, with the numbers of its groups."""
     header = content.split(b"\n", 2)[1].split()
-    body = content.partition(b"$Entities\n")[2]
+    body = content.partition(b"$Entities")[2].partition(b"\n")[2]
     words, at = body.partition(b"$")[0].split() if header[1] == b"0" else None, 0
 
     def take(kind: str, count: int = 1) -> list[int]:
@@ -89,13 +90,14 @@ def _physical(content: bytes) -> Iterator[tuple[tuple[int, int], list[int]]]:
         at += count
         return [int(float(word)) for word in words[at - count : at]]
 
-    for dimension, count in enumerate(take("u8", 4)):
+    size = f"u{header[2].decode()}"
+    for dimension, count in enumerate(take(size, 4)):
         for _ in range(count):
             (entity,) = take("i4")
             take("f8", 3 if dimension == 0 and header[0] != b"4.0" else 6)
-            yield (dimension, entity), take("i4", *take("u8"))
+            yield (dimension, entity), take("i4", *take(size))
             if dimension:
-                take("i4", *take("u8"))
+                take("i4", *take(size))
 
 
 def _positions(members: list[int], numbers: list[int]) -> np.ndarray:
@@ -108,12 +110,13 @@ def _sections(text: str) -> Iterator[Section]:
     for section in "\n".join(lines).split("\n*")[1:]:
         head, *lines = section.splitlines()
         keyword, *given = (part.strip() for part in head.split(","))
-        rows = [[one for part in line.split(",") if (one := part.strip())] for line in lines]
+        ends = (line.strip().rstrip(",") for line in lines)
+        rows = [[part.strip() for part in line.split(",")] for line in ends if line]
         pairs = (part.partition("=") for part in given)
         yield (
             keyword.upper(),
             {name.strip().upper(): value.strip() for name, _, value in pairs},
-            [row for row in rows if row],
+            rows,
         )
 
 
