@@ -627,6 +627,9 @@ def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
         with pytest.raises(so.InputError, match=r"effects\[2\].E: the elasticity .* other moduli"):
             body(space(kind), [*MATERIAL, other])
         body(space(kind), [*MATERIAL, replace(other, strain=0.0)])
+    oak = Elasticity(tensor=np.diag([3.0, 2.0, 1.0, 1.0, 1.0, 1.0][: 6 if kind == "solid" else 3]))
+    with pytest.raises(so.InputError, match="E: an eigenstrain beside an elasticity with a tensor"):
+        body(space(kind), [Viscosity(1.0, zeta=1.5), oak, heat])
 
 
 @dataclass(frozen=True)
