@@ -10,6 +10,7 @@ from cases import slow
 
 from sweepopt import InputError, cli
 from sweepopt.fem import (
+    BodyForce,
     Discretisation,
     Elasticity,
     Friction,
@@ -24,6 +25,7 @@ from sweepopt.fem import (
 )
 from sweepopt.fem.contact import slip_of
 from sweepopt.fem.output import Report, write_netcdf
+from sweepopt.loads import Constant
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
@@ -225,6 +227,9 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block):
     assert np.allclose(abs(slip.use[slips]), 1.0, rtol=1e-6)
 
 
+PULLED = BodyForce(Constant(), [0.0, 1.0])
+
+
 @pytest.mark.parametrize("axes", [None, [3.0, 1.0]])
 def test_the_slip_at_a_slanted_corner_is_that_along_the_tangent(axes):
     """The corner moves up the wall that holds it; its slip is less by the sine of the slope."""
@@ -238,7 +243,15 @@ def test_the_slip_at_a_slanted_corner_is_that_along_the_tangent(axes):
     effects = [Viscosity(1.0), Friction("bottom", 0.3, axes=axes, slip=law)]
     (rubs,) = body(space, effects).yields
     u = space.interpolate(["0", "0.07"])
-    assert rubs.at(0.0, u) == pytest.approx(rubs.at(0.0) * law(0.07 * 0.8 / np.hypot(1.0, 0.8)))
+    sine = 0.8 / np.hypot(1.0, 0.8)
+    assert rubs.at(0.0, u) == pytest.approx(rubs.at(0.0) * law(0.07 * sine))
+    # what reports show is along the tangent, too
+    scene = body(space, [Viscosity(1.0), Friction("bottom", 0.05), PULLED], t_end=1.0, steps=2)
+    solution = scene.solve(scheme="implicit-euler")
+    slip = slip_of(scene, solution)
+    np.testing.assert_allclose(abs(slip.traction), 0.05, rtol=1e-9)
+    up = scene.displacement(solution)[:, slip.contact.node, 1]
+    np.testing.assert_allclose(abs(slip.displacement), abs(up) * sine, rtol=1e-9)
 
 
 T = [0.0, 0.37, 1.13, 1.71, 2.0]

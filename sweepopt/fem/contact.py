@@ -134,6 +134,13 @@ class Yield(Brief):
         return x[:, 0] if self.rows.block == 1 else np.linalg.norm(x, axis=1)
 
     @property
+    def tangential(self) -> Array:
+        """Of blocks of one row the length along the tangents of its unit motion, shape (m,)."""
+        if self.rows.block > 1 or self.lengths is None:
+            return np.ones(len(self.rows.weight))
+        return np.sqrt(self.lengths[:, 0, 0])
+
+    @property
     def euclidean_rows(self) -> sp.csr_array:
         """Rows in which |x| is the Euclidean norm."""
         if self.metric is None:
@@ -600,8 +607,10 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         sizes.append(np.concatenate([one.sizes(q) for one in rubbing])[keep])
         radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
+    along = np.concatenate([one.tangential for one in rubbing])[keep]
+    along = along[:, None] if several else along
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
-    velocity = contact.of(solution.velocity)
+    velocity = contact.of(solution.velocity) * along
     speed = np.abs(signed_lengths(velocity))
     velocity[speed <= REST * speed.max()] = 0.0
     laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
@@ -611,9 +620,9 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
-        displacement=contact.of(solution.u),
+        displacement=contact.of(solution.u) * along,
         velocity=velocity,
-        traction=force / (weight[:, None] if several else weight),
+        traction=force / ((weight[:, None] if several else weight) * along),
         bound=bound / contact.weight,
         use=np.where(mixed, np.nan, use),
     )
