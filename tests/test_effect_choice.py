@@ -309,6 +309,23 @@ def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused():
             scene.solve()
 
 
+def test_numbers_for_unknowns_that_friction_turns_are_refused():
+    """(0.1, 0.3) at a wall that rubs and does not hold was taken for (0.3, -0.1)."""
+    space = Discretisation(grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
+    effects, u = [Viscosity(1.0), Friction("bottom", 0.1)], ["0.1 * (1 - y)", "0.3 * (1 - y)"]
+    with pytest.raises(InputError, match=r"u0: friction turns unknowns .*Initial"):
+        body(space, effects, u0=space.interpolate(u))
+    scene = body(space, effects, u0=Initial(u))
+    turned = scene.discretisation
+    again = body(turned, effects, u0=turned.interpolate(u))
+    np.testing.assert_array_equal(again.problem.u0, scene.problem.u0)
+    start = np.outer(1 - turned.points[:, 1], [0.1, 0.3])
+    np.testing.assert_allclose(turned.expand(again.problem.u0), start, atol=1e-15)
+    body(space, [*effects, Elasticity(E=1.0, nu=0.3)], u0=np.zeros(space.dim))
+    held = Discretisation(space.mesh, "top", kind="plane strain", held={"bottom": "n"})
+    body(held, effects, u0=held.interpolate(u))  # of which none turns
+
+
 COARSE = {"domain.refinements": 1}
 BRANCH = COARSE | {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
 
