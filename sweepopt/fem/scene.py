@@ -422,7 +422,7 @@ def build(
     steps = settings["steps"]
     start = float(entries("steps", steps)[0]) if axes(steps) else 0.0
     given, space = space, _with_effects(space, effects, start)
-    if np.any(u0) and not isinstance(u0, Initial):
+    if not isinstance(u0, Initial) and np.any(u0):
         _check_directions(given, space)
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
