@@ -62,15 +62,16 @@ def group_entities(raw: meshio.Mesh, content: bytes) -> None:
     """Make sets of the physical groups of a Gmsh 4 file, from the entities that are in each."""
     names = {tuple(np.ravel(value)): name for name, value in raw.field_data.items()}
     groups = dict[str, list[np.ndarray]]()
+    numbers = raw.cell_data["gmsh:geometrical"]  # one in each block
+    places = [(block.dim, *own[:1]) for block, own in zip(raw.cells, numbers, strict=True)]
     for (dimension, entity), tags in _physical(content):
         for tag in dict.fromkeys(map(abs, tags)):  # turned round where it is negative
             members = groups.setdefault(
                 names.get((tag, dimension), str(tag)), [np.arange(0) for _ in raw.cells]
             )
-            for k, block in enumerate(raw.cells):
-                own = raw.cell_data["gmsh:geometrical"][k]
-                if block.dim == dimension and (own == entity).all():
-                    members[k] = np.arange(len(block.data))
+            for k, place in enumerate(places):
+                if place == (dimension, entity):
+                    members[k] = np.arange(len(numbers[k]))
     raw.cell_data.pop("gmsh:physical", None)
     raw.cell_sets = groups
 
