@@ -548,6 +548,20 @@ def test_several_frictions_on_a_boundary_share_its_length():
     np.testing.assert_allclose(others[2].bound[0], [0.3, 0.3, 0.2, 0.1, 0.1])
 
 
+def test_no_traction_is_told_where_an_edge_and_the_face_of_a_sheet_rub():
+    """It was a force by the sum of a length and an area."""
+    sheet = Discretisation(square(2), "left", kind="plane stress", held={"bottom": "n"})
+    pull = BodyForce(so.Sine(2.0, period=4.0), [1.0, 0.0])
+    scene = body(sheet, [Viscosity(1.0), Friction("body", 0.1), Friction("bottom", 0.2), pull])
+    slip = slip_of(scene, scene.solve(t_end=1.0, steps=2, scheme="implicit-euler"))
+    edge = slip.contact.points[:, 1] == 0.0
+    assert edge.any()
+    for told in (slip.bound, slip.traction[..., 0]):
+        np.testing.assert_array_equal(np.isnan(told[-1]), edge)
+    np.testing.assert_allclose(slip.bound[:, ~edge], 0.1)
+    assert np.isfinite(slip.use).all()
+
+
 def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():
     ramp, mesh = so.Table([0.0, 1.0], [0.0, 1.0]), square(2)
     sides = {"left": "x", "bottom": "n"}

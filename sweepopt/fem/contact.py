@@ -520,7 +520,8 @@ class Slip:
         Exactly 0.0 where a node sticks, and where it is rounding beside the largest of the run.
     traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity; nan where a part of A u' + B u - f is another bounded force
-        whose share is not known: of a yield stress, one-way motion, friction of other components.
+        whose share is not known: of a yield stress, one-way motion, friction of other components;
+        and, as the bound, at nodes that rub along an edge of a sheet and over its face.
     bound : ndarray, shape (n, m)
         g_k at these times and states, which a law of the slip or a bound that moves changes.
     use : ndarray, shape (n, m)
@@ -615,7 +616,10 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     velocity[speed <= REST * speed.max()] = 0.0
     laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
     mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
-    weight = np.where(mixed, np.nan, contact.weight)
+    of_facets = contact.parts[:, : scene.discretisation.mesh.nfacets].sum(axis=1)
+    one_kind = (of_facets == 0) | (of_facets == contact.weight)
+    size = np.where(one_kind, contact.weight, np.nan)  # no sum of a length and an area
+    weight = np.where(mixed, np.nan, size)
     return Slip(
         contact=contact,
         t=solution.t,
@@ -623,6 +627,6 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         displacement=contact.of(solution.u) * along,
         velocity=velocity,
         traction=force / ((weight[:, None] if several else weight) * along),
-        bound=bound / contact.weight,
+        bound=bound / size,
         use=np.where(mixed, np.nan, use),
     )
