@@ -507,6 +507,9 @@ def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_
     both = Discretisation(square(2), ["left", "bottom"])
     with pytest.raises(so.InputError, match=r"effects\[2\].on: left shares nodes with bottom"):
         body(both, [*MATERIAL, moved, PrescribedDisplacement("bottom", ramp)])
+    names = ["left", "bottom"]
+    with pytest.raises(so.InputError, match="d: two of left, bottom share nodes and move them"):
+        body(both, [*MATERIAL, PrescribedDisplacement(names, ramp, {"left": 1.0, "bottom": 0.0})])
     scene = body(both, [*MATERIAL, moved])  # what is clamped beside it gives way
     end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
     np.testing.assert_allclose(end[left], 1.0 + block.points[left, 1], rtol=1e-14)
@@ -520,6 +523,43 @@ def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_
     scene = body(wedge, [*MATERIAL, *pulls])
     end = scene.displacement(scene.solve(t_end=1.0, steps=1))[-1]
     np.testing.assert_allclose(end[np.argmin(wedge.points.sum(axis=1))], [0.1, 0.2], rtol=1e-14)
+
+
+def test_several_frictions_on_a_boundary_share_its_length():
+    """Its length counted once for each of them, so that tractions and bounds were halved."""
+    mesh = grid([2.0, 1.0], [4, 2])
+    half = [k for k in mesh.boundaries["bottom"] if mesh.p[0, mesh.facets[:, k]].max() <= 1.0]
+    plate = Discretisation(mesh.with_boundaries({"half": half}), "top")
+    pull = Traction(["left", "right"], so.Sine(3.0, period=4.0))
+    laws = [
+        [Friction("bottom", 0.3)],
+        [Friction("bottom", 0.1), Friction("bottom", 0.2)],
+        [Friction(["half", "bottom"], 0.3)],
+        [Friction("bottom", 0.1), Friction("half", 0.2)],
+    ]
+    scenes = [body(plate, [*MATERIAL, pull, *law]) for law in laws]
+    first, *others = [slip_of(scene, scene.solve(t_end=1.0, steps=2)) for scene in scenes]
+    for slip in others:
+        np.testing.assert_allclose(slip.contact.weight, [0.25, 0.5, 0.5, 0.5, 0.25])
+        np.testing.assert_array_equal(slip.contact.arc, [0.0, 0.5, 1.0, 1.5, 2.0])
+    for slip in others[:2]:
+        np.testing.assert_allclose(slip.traction, first.traction, rtol=1e-9)
+        np.testing.assert_allclose(slip.bound, 0.3)
+    np.testing.assert_allclose(others[2].bound[0], [0.3, 0.3, 0.2, 0.1, 0.1])
+
+
+def test_no_traction_is_told_where_an_edge_and_the_face_of_a_sheet_rub():
+    """It was a force by the sum of a length and an area."""
+    sheet = Discretisation(square(2), "left", kind="plane stress", held={"bottom": "n"})
+    pull = BodyForce(so.Sine(2.0, period=4.0), [1.0, 0.0])
+    scene = body(sheet, [Viscosity(1.0), Friction("body", 0.1), Friction("bottom", 0.2), pull])
+    slip = slip_of(scene, scene.solve(t_end=1.0, steps=2, scheme="implicit-euler"))
+    edge = slip.contact.points[:, 1] == 0.0
+    assert edge.any()
+    for told in (slip.bound, slip.traction[..., 0]):
+        np.testing.assert_array_equal(np.isnan(told[-1]), edge)
+    np.testing.assert_allclose(slip.bound[:, ~edge], 0.1)
+    assert np.isfinite(slip.use).all()
 
 
 def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():
@@ -597,6 +637,13 @@ def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
     u = scene.discretisation.expand(sp.linalg.spsolve(scene.problem.B, scene.load(0.0)))
     strain = 0.01 * (1.3 if kind == "plane strain" else 1.0)
     np.testing.assert_allclose(u, strain * scene.discretisation.points, atol=1e-14)
+    for other in (replace(heat, E=2.0), replace(heat, nu=0.2)):
+        with pytest.raises(so.InputError, match=r"effects\[2\].E: the elasticity .* other moduli"):
+            body(space(kind), [*MATERIAL, other])
+        body(space(kind), [*MATERIAL, replace(other, strain=0.0)])
+    oak = Elasticity(tensor=np.diag([3.0, 2.0, 1.0, 1.0, 1.0, 1.0][: 6 if kind == "solid" else 3]))
+    with pytest.raises(so.InputError, match="E: an eigenstrain beside an elasticity with a tensor"):
+        body(space(kind), [Viscosity(1.0, zeta=1.5), oak, heat])
 
 
 @dataclass(frozen=True)

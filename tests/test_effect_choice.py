@@ -10,12 +10,14 @@ from cases import slow
 
 from sweepopt import InputError, cli
 from sweepopt.fem import (
+    BodyForce,
     Discretisation,
     Elasticity,
     Friction,
     Initial,
     Plasticity,
     SlipWeakening,
+    Viscosity,
     body,
     compare_effects,
     grid,
@@ -23,6 +25,7 @@ from sweepopt.fem import (
 )
 from sweepopt.fem.contact import slip_of
 from sweepopt.fem.output import Report, write_netcdf
+from sweepopt.loads import Constant
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
@@ -224,6 +227,33 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block):
     assert np.allclose(abs(slip.use[slips]), 1.0, rtol=1e-6)
 
 
+PULLED = BodyForce(Constant(), [0.0, 1.0])
+
+
+@pytest.mark.parametrize("axes", [None, [3.0, 1.0]])
+def test_the_slip_at_a_slanted_corner_is_that_along_the_tangent(axes):
+    """The corner moves up the wall that holds it; its slip is less by the sine of the slope."""
+    space = Discretisation(
+        grid([1.0, 1.0], [1, 1], ["x", "y - 0.8 * x"]),
+        "right",
+        kind="plane strain",
+        held={"left": "n"},
+    )
+    law = SlipWeakening(0.1, 0.2)
+    effects = [Viscosity(1.0), Friction("bottom", 0.3, axes=axes, slip=law)]
+    (rubs,) = body(space, effects).yields
+    u = space.interpolate(["0", "0.07"])
+    sine = 0.8 / np.hypot(1.0, 0.8)
+    assert rubs.at(0.0, u) == pytest.approx(rubs.at(0.0) * law(0.07 * sine))
+    # what reports show is along the tangent, too
+    scene = body(space, [Viscosity(1.0), Friction("bottom", 0.05), PULLED], t_end=1.0, steps=2)
+    solution = scene.solve(scheme="implicit-euler")
+    slip = slip_of(scene, solution)
+    np.testing.assert_allclose(abs(slip.traction), 0.05, rtol=1e-9)
+    up = scene.displacement(solution)[:, slip.contact.node, 1]
+    np.testing.assert_allclose(abs(slip.displacement), abs(up) * sine, rtol=1e-9)
+
+
 T = [0.0, 0.37, 1.13, 1.71, 2.0]
 PULL = {"table": {"t": T, "values": [0.0, 1.5, -1.5, 1.2, 0.3]}}
 BOUNDS = {
@@ -277,6 +307,23 @@ def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused():
             continue
         with pytest.raises(InputError, match=words):
             scene.solve()
+
+
+def test_numbers_for_unknowns_that_friction_turns_are_refused():
+    """(0.1, 0.3) at a wall that rubs and does not hold was taken for (0.3, -0.1)."""
+    space = Discretisation(grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
+    effects, u = [Viscosity(1.0), Friction("bottom", 0.1)], ["0.1 * (1 - y)", "0.3 * (1 - y)"]
+    with pytest.raises(InputError, match=r"u0: friction turns unknowns .*Initial"):
+        body(space, effects, u0=space.interpolate(u))
+    scene = body(space, effects, u0=Initial(u))
+    turned = scene.discretisation
+    again = body(turned, effects, u0=turned.interpolate(u))
+    np.testing.assert_array_equal(again.problem.u0, scene.problem.u0)
+    start = np.outer(1 - turned.points[:, 1], [0.1, 0.3])
+    np.testing.assert_allclose(turned.expand(again.problem.u0), start, atol=1e-15)
+    body(space, [*effects, Elasticity(E=1.0, nu=0.3)], u0=np.zeros(space.dim))
+    held = Discretisation(space.mesh, "top", kind="plane strain", held={"bottom": "n"})
+    body(held, effects, u0=held.interpolate(u))  # of which none turns
 
 
 COARSE = {"domain.refinements": 1}

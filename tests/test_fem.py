@@ -370,6 +370,61 @@ def corrupt(*changes, name=SMALL):
     return content
 
 
+NODES = "*NODE\n1, 0, 0\n2, 1, 0\n3, 2, 0\n4, 0, 1\n** above\n5, 1, 1\n6, 2, 1\n"
+BLOCKS = """*ELEMENT, TYPE=T3D2
+1, 1, 2
+2, 2, 3
+*ELEMENT, TYPE=T3D2, ELSET=top
+3, 4, 5
+*ELEMENT, TYPE=T3D2, ELSET=top
+4, 5, 6
+*ELEMENT, TYPE=CPS3, ELSET=core
+5, 1, 2, 5
+6, 1, 5, 4
+*ELEMENT, TYPE=CPS3
+7, 2, 3, 6
+8, 2, 6, 5
+"""
+PARTS = """*ELSET, ELSET=bottom
+1
+*ELSET, ELSET=bottom, GENERATE
+2, 2, 1
+*ELSET, ELSET=ends
+top, bottom
+*NSET, NSET=left
+1
+*NSET, NSET=left
+4
+*NSET, NSET=left and a corner
+1, 4, 6
+"""
+
+
+def test_sets_of_an_abaqus_file_are_those_of_all_its_lines(tmp_path):
+    """meshio gave the name "top" to the bottom: the first elements have no set."""
+    path = tmp_path / "plate.inp"
+    path.write_text(NODES + BLOCKS + PARTS)
+    mesh = read_mesh(path)
+    lines = {"bottom": 1, "top": 1, "left": 0, "ends": 1}
+    assert set(mesh.boundaries) == set(lines)  # no set that holds a node beside its edges
+    for name, k in lines.items():
+        places = mesh.p[k, mesh.facets[:, mesh.boundaries[name]]]
+        assert set(places.ravel()) == ({0.0, 1.0} if name == "ends" else {float(name == "top")})
+    assert mesh.p[0, mesh.t[:, mesh.subdomains["core"]]].max() == 1.0
+    for more in (NODES, "*ELEMENT, TYPE=CPS3\n8, 1, 2, 5\n", "*INSTANCE\n1.0, 0.0\n", "*ELGEN\n"):
+        path.write_text(NODES + BLOCKS + more)
+        with pytest.raises(InputError, match=r"two (nodes|elements) of one number|makes or moves"):
+            read_mesh(path)
+
+
+def test_groups_of_gmsh_41_without_a_name_or_turned_round(tmp_path):
+    """meshio kept the first number of an entity, and no name of one that is negative."""
+    path = tmp_path / "square.msh"
+    path.write_bytes(corrupt((" 2 10 11 0", " 3 10 11 13 0"), (" 1 12 0", " 3 -11 13 12 0")))
+    found = {name: len(edges) for name, edges in read_mesh(path).boundaries.items()}
+    assert found == {"foot": 1, "all": 2, "13": 2, "12": 1}
+
+
 def curve(mesh, move):
     """The bottom edges bent: `move` turns their first and second ends into their middles."""
     curved, bottom = skfem.MeshTri2.from_mesh(mesh), mesh.boundaries["bottom"]

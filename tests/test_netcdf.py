@@ -105,18 +105,18 @@ def test_any_solution_becomes_a_dataset():
 @pytest.mark.parametrize(
     "kind, sizes, on, expected",
     [
-        ("solid", [1.0, 1.0, 1.0], "bottom", ("m2", "Pa", "N")),
-        ("solid", [1.0, 1.0, 1.0], "body", ("m3", "Pa/m", "N")),
-        ("plane stress", [1.0, 1.0], "body", ("m2", "Pa", "N")),
-        ("plane strain", [1.0, 1.0], "bottom", ("m", "Pa", "N/m")),
-        ("antiplane", [1.0], "body", ("m", "N/m", "N")),
-        ("antiplane", [1.0], "right", ("1", "N", "N")),
-        ("lumped", [1.0], "body", ("1", "N", "N")),
+        ("solid", [1.0, 1.0, 1.0], "bottom", ("m2", "Pa", "N", "Pa")),
+        ("solid", [1.0, 1.0, 1.0], "body", ("m3", "Pa/m", "N", "Pa")),
+        ("plane stress", [1.0, 1.0], "body", ("m2", "Pa", "N", "N/m")),
+        ("plane strain", [1.0, 1.0], "bottom", ("m", "Pa", "N/m", "Pa")),
+        ("antiplane", [1.0], "body", ("m", "N/m", "N", "N")),
+        ("antiplane", [1.0], "right", ("1", "N", "N", "N")),
+        ("lumped", [1.0], "body", ("1", "N", "N", "N")),
     ],
 )
 def test_contact_is_in_units_of_what_slips(kind, sizes, on, expected):
-    """A weight times a traction is a force; areas were given in m."""
+    """A weight times a traction is a force; areas were in m, and stresses of sheets in Pa."""
     space = Discretisation(grid(sizes, [1] * len(sizes)), "left", kind=kind)
     scene = body(space, [Viscosity(1.0), Friction(on, 0.1)], units="SI")
     units = Report(scene, scene.solve(t_end=1.0, steps=1)).units
-    assert tuple(units[name] for name in ("weight", "traction", "force")) == expected
+    assert tuple(units[name] for name in ("weight", "traction", "force", "stress")) == expected

@@ -69,6 +69,8 @@ class Yield(Brief):
         Bound of each block's force, per length, area or volume.
     histories : sequence of callable
         Functions of time that g is made of, as data: steps end at their breakpoints.
+    lengths : as metric, or None
+        <lengths x, x> is the square of the displacement along the tangents, which `slip` takes.
     label : str
         What errors put in front of g, such as "effects.friction."; a scene sets it.
     metric : ndarray, shape (m, block, block), or None
@@ -92,6 +94,7 @@ class Yield(Brief):
     contact: Contact | None = None
     slip: SlipLaw | None = None
     histories: Sequence[Callable[[float], Any]] = ()
+    lengths: Array | None = None
     label: str = ""
 
     def check(self, start: float) -> None:
@@ -115,7 +118,8 @@ class Yield(Brief):
         if self.slip is None or u is None:
             return radii
         moved = (self.rows.E @ u).reshape(-1, self.rows.block)
-        return radii * self.slip(np.linalg.norm(moved, axis=1))
+        along = moved if self.lengths is None else np.einsum("kij,kj->ki", self.lengths, moved)
+        return radii * self.slip(np.sqrt((moved * along).sum(axis=1)))
 
     @property
     def factors(self) -> str:
@@ -128,6 +132,13 @@ class Yield(Brief):
         if self.metric is not None:
             x = np.linalg.solve(np.linalg.cholesky(self.metric), x[..., None])[..., 0]
         return x[:, 0] if self.rows.block == 1 else np.linalg.norm(x, axis=1)
+
+    @property
+    def tangential(self) -> Array:
+        """Of blocks of one row the length along the tangents of its unit motion, shape (m,)."""
+        if self.rows.block > 1 or self.lengths is None:
+            return np.ones(len(self.rows.weight))
+        return np.sqrt(self.lengths[:, 0, 0])
 
     @property
     def euclidean_rows(self) -> sp.csr_array:
@@ -229,9 +240,10 @@ class Contact(Brief):
         Name of the boundary or subdomain it is on.
     arc : ndarray, shape (m,)
         Arc length along the boundaries, one after the other; nan where there is no curve.
-    weight, bound : ndarray, shape (m,)
-        w_k (a length, an area or a volume) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound
-        that moves that at the start.
+    parts : sparse, shape (m, facets and cells of the mesh)
+        What each node stands for of each facet or cell with friction, whose sum is w_k.
+    bound : ndarray, shape (m,)
+        g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound that moves that at the start.
     """
 
     unknown: Indices
@@ -239,11 +251,16 @@ class Contact(Brief):
     points: Array
     boundary: NDArray[np.str_]
     arc: Array
-    weight: Array
+    parts: sp.csr_array
     bound: Array
 
     def __len__(self) -> int:
         return int(self.unknown.shape[0])
+
+    @cached_property
+    def weight(self) -> Array:
+        """w_k, a length, an area or a volume: the sum of its parts, shape (m,)."""
+        return np.asarray(self.parts.sum(axis=1))
 
     @property
     def threshold(self) -> Array:
@@ -267,7 +284,7 @@ class Contact(Brief):
 
 
 def merged(contacts: Sequence[Contact]) -> Contact | None:
-    """All nodes with friction of a scene; a node that two share counts once, with both weights."""
+    """All nodes with friction, and all facets on which several act, each once."""
     if not contacts:
         return None
 
@@ -275,15 +292,19 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
         return np.concatenate([getattr(one, name) for one in contacts])
 
     unknown, keep, owner = _owners(contacts)
-    sums = (np.bincount(owner, joined(name)) for name in ("weight", "threshold"))
-    weight, threshold = (one.astype(float) for one in sums)
+    threshold, parts = np.bincount(owner, joined("threshold")).astype(float), sp.csr_array((0, 0))
+    for one, rows in zip(contacts, np.split(owner, np.cumsum([*map(len, contacts)])), strict=False):
+        parts.resize(keep.size, one.parts.shape[1])
+        ones = np.ones(len(one)), (rows, np.arange(len(one)))
+        parts = parts.maximum(sp.csr_array(ones, shape=(keep.size, len(one))) @ one.parts)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
     unknown = unknown[keep]
     if (unknown >= 0).sum(axis=1).max() == 1:
         unknown = unknown.max(axis=1)
-    return Contact(unknown, node, points, boundary, arc[keep], weight, threshold / weight)
+    weight = np.asarray(parts.sum(axis=1))
+    return Contact(unknown, node, points, boundary, arc[keep], parts, threshold / weight)
 
 
 def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
@@ -324,6 +345,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         return np.asarray(_thresholds(law, place, N, t, law.history)[k] / weight[k])
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
+    parts = _parts(body, place)
     threshold, at_start = (
         _thresholds(law, place, N, body.start, phi) for phi in (None, law.history)
     )
@@ -352,16 +374,18 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
         contact = Contact(
-            some, k, body.points[k], names[at], arc[at], weight[k], at_start[k] / weight[k]
+            some, k, body.points[k], names[at], arc[at], parts[k], at_start[k] / weight[k]
         )
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
-        metric = _metric(body, directions[mine][some >= 0], block, law.axes)
+        metric, lengths = (
+            _metric(body, directions[mine][some >= 0], block, axes) for axes in (law.axes, None)
+        )
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
         histories = () if law.history is None else (law.history,)
-        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories))
+        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories, lengths))
     return yields
 
 
@@ -373,6 +397,16 @@ def _thresholds(law: Friction, place: Place, size: int, t: float, phi: Any) -> A
         )
     forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
+
+
+def _parts(body: Discretisation, place: Place) -> sp.csr_array:
+    """What each node stands for of each facet, and behind these of each cell."""
+    mesh, basis = body.mesh, place.basis
+    of_cells = mesh.nfacets + np.arange(mesh.nelements)
+    at = basis.find if hasattr(basis, "normals") else of_cells[basis.tind].ravel()
+    rows, columns = place.nodes.T, np.broadcast_to(at[:, None], basis.dx.shape)
+    entries = basis.dx.ravel(), (rows.ravel(), columns.ravel())
+    return sp.csr_array(entries, shape=(body.scalar.N, mesh.nfacets + mesh.nelements))
 
 
 def _slipping(
@@ -412,7 +446,7 @@ def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
     """
     nodes, groups = place.nodes.T, place.groups
     names = np.full(nodes.shape, "body", dtype=object)
-    for name, members in groups.items():
+    for name, members in reversed(groups.items()):
         names[members] = name
     arc = np.full(nodes.shape, np.nan)
     if hasattr(place.basis, "normals") and body.mesh.dim() == 2:
@@ -420,6 +454,7 @@ def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
         normal_x, normal_y = place.basis.normals.mean(axis=2)
         nodes = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
         order = np.concatenate([mine[_walk(body.points, nodes[mine])] for mine in groups.values()])
+        order = order[np.sort(np.unique(order, return_index=True)[1])]  # some are in two groups
         length = place.basis.dx[order].sum(axis=1)
         ends = np.cumsum(length)
         arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1)
@@ -485,7 +520,8 @@ class Slip:
         Exactly 0.0 where a node sticks, and where it is rounding beside the largest of the run.
     traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity; nan where a part of A u' + B u - f is another bounded force
-        whose share is not known: of a yield stress, one-way motion, friction of other components.
+        whose share is not known: of a yield stress, one-way motion, friction of other components;
+        and, as the bound, at nodes that rub along an edge of a sheet and over its face.
     bound : ndarray, shape (n, m)
         g_k at these times and states, which a law of the slip or a bound that moves changes.
     use : ndarray, shape (n, m)
@@ -572,20 +608,25 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         sizes.append(np.concatenate([one.sizes(q) for one in rubbing])[keep])
         radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
+    along = np.concatenate([one.tangential for one in rubbing])[keep]
+    along = along[:, None] if several else along
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
-    velocity = contact.of(solution.velocity)
+    velocity = contact.of(solution.velocity) * along
     speed = np.abs(signed_lengths(velocity))
     velocity[speed <= REST * speed.max()] = 0.0
     laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
     mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
-    weight = np.where(mixed, np.nan, contact.weight)
+    of_facets = contact.parts[:, : scene.discretisation.mesh.nfacets].sum(axis=1)
+    one_kind = (of_facets == 0) | (of_facets == contact.weight)
+    size = np.where(one_kind, contact.weight, np.nan)  # no sum of a length and an area
+    weight = np.where(mixed, np.nan, size)
     return Slip(
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
-        displacement=contact.of(solution.u),
+        displacement=contact.of(solution.u) * along,
         velocity=velocity,
-        traction=force / (weight[:, None] if several else weight),
-        bound=bound / contact.weight,
+        traction=force / ((weight[:, None] if several else weight) * along),
+        bound=bound / size,
         use=np.where(mixed, np.nan, use),
     )

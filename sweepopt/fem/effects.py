@@ -27,7 +27,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from skfem.helpers import dot, inner
 
 from sweepopt.checks import choice, listed, number, symmetric, vector
@@ -656,7 +656,13 @@ class PrescribedDisplacement(Record):
         place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
         full = np.zeros(body.nodes.size)
         for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
-            full[dofs[place.nodes.T]] = place.values(coefficient, datum)
+            at, values = dofs[place.nodes.T], place.values(coefficient, datum)
+            full[at] = values
+            if np.abs(full[at] - values).max() > TURNED * np.abs(values).max():
+                raise InputError(
+                    f"d: two of {', '.join(self.on)} share nodes and move them differently; let d "
+                    "agree there, as one formula in x and y does"
+                )
         T = body.frame.T
         along = T.T @ full
         given = np.abs(along) > TURNED * np.abs(along).max()
@@ -693,8 +699,8 @@ class Eigenstrain(Record):
     """``<f, v> = phi(t) int sigma0 tr e(v)``: a strain that no stress makes, such as heat's.
 
     sigma0 = E strain / (1 - 2 nu) is the pressure that undoes it; in plane stress E strain / (1 -
-    nu). The moduli are to be those of the elasticity: viscosities and Maxwell branches see the
-    whole strain and resist an eigenstrain that moves.
+    nu). The moduli are those of the elasticity, if there is one, without a tensor: viscosities and
+    Maxwell branches see the whole strain and resist an eigenstrain that moves.
 
     Parameters
     ----------
@@ -708,7 +714,8 @@ class Eigenstrain(Record):
     Raises
     ------
     InputError
-        If a value is out of its range, or the body is in antiplane shear.
+        If a value is out of its range or the elasticity's moduli are others, or the body is in
+        antiplane shear.
 
     Examples
     --------
@@ -737,6 +744,7 @@ class Eigenstrain(Record):
         place = body.whole
         strain, E, nu = self.values_at(place)
         _check_compressible(nu)
+        _check_elastic(body, E, nu, where=strain != 0)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
         f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
         return Contribution(loads=[(self.history, body.restrict(f))])
@@ -927,6 +935,28 @@ def _check_compressible(nu: Array) -> None:
         raise InputError(
             f"nu must be < 0.5, got {nu.max():g}: incompressible bodies are not in the class; in "
             "plane stress 0.499999 gives the same"
+        )
+
+
+def _check_elastic(body: Discretisation, E: Array, nu: Array, where: NDArray[np.bool_]) -> None:
+    """Refuse moduli, at points of strains, that are not those of the scene's elasticity."""
+    try:
+        laws = [one.lame(body, body.whole) for one in body.effects if hasattr(one, "lame")]
+    except InputError:  # which the elasticity tells under its own name
+        return
+    if any(mu is None for _, mu in laws):
+        raise InputError(
+            "E: an eigenstrain beside an elasticity with a tensor is not offered, as its stress is "
+            "not the same in all directions; give the elasticity E and nu"
+        )
+    if not laws:
+        return
+    lam, mu = (sum(one) for one in zip(*laws, strict=True))
+    both = 2 * mu * (1 + nu), (3 * lam + 2 * mu) * (1 - 2 * nu)
+    if not np.isclose(E, both)[:, where].all():
+        raise InputError(
+            "E: the elasticity of the scene has other moduli where the eigenstrain acts, which "
+            "would make another strain; give the same E and nu"
         )
 
 

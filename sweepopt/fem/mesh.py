@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from sweepopt.checks import at_path, bounded, count, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Indices
+from sweepopt.fem.mesh_groups import group_entities, read_abaqus
 from sweepopt.io import as_path, read_bytes
 from sweepopt.linalg import EPS
 
@@ -139,8 +140,8 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
     -------
     skfem.Mesh
         `MeshTri2` for six-node triangles. Physical groups, or sets of elements, of facets and cells
-        are its boundaries and subdomains, by name, and sets of nodes are boundaries too; a group
-        without a name is called by its number.
+        are its boundaries and subdomains, by name, and so are sets of all nodes of outer facets; a
+        group without a name is called by its number.
 
     Raises
     ------
@@ -166,7 +167,10 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", "string or file could not be read")
             warnings.filterwarnings("error", category=RuntimeWarning)
-            raw = meshio.read(path, file_format="gmsh" if gmsh else None)
+            abaqus = path.suffix == ".inp"
+            raw = read_abaqus(content) if abaqus else meshio.read(path, "gmsh" if gmsh else None)
+        if gmsh and b"$Entities" in content:
+            group_entities(raw, content)
         _, _, names = content.partition(b"$PhysicalNames")  # their number, then each
         if gmsh and names and int(names.split(None, 1)[0]) > len(raw.field_data):
             raise InputError(
@@ -273,9 +277,10 @@ def _boundaries(
             raise InputError(f"physical {what} {name!r} has a line that is no edge of a triangle")
         boundaries[name] = np.unique(at)
     for name, members in raw.point_sets.items():
-        inside = np.isin(mesh.facets, vertex[np.asarray(members, dtype=int)]).all(axis=0)
-        outer = inside & (mesh.f2t[1] < 0)
-        if name not in boundaries and outer.any():
+        own = np.setdiff1d(vertex[np.asarray(members, dtype=int)], -1)
+        outer = np.isin(mesh.facets, own).all(axis=0) & (mesh.f2t[1] < 0)
+        whole = np.isin(own, mesh.facets[:, outer]).all()  # no node of it lies elsewhere
+        if name not in boundaries and outer.any() and whole:
             boundaries[name] = np.flatnonzero(outer)
     return boundaries
 

@@ -42,6 +42,7 @@ from sweepopt.fem.effects import (
     total,
 )
 from sweepopt.fem.fields import Array
+from sweepopt.fem.frames import PARALLEL
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.integrate import schemes
@@ -366,7 +367,8 @@ def body(
     effects : sequence of Effect
         Of each kind as many as there are; A from viscosity or dashpots is asked for.
     u0 : array_like of shape (dim,) or Initial, optional
-        Initial values of the unknowns, or where they are from; zero by default.
+        Initial values of the unknowns, or where they are from; zero by default. Where friction
+        turns unknowns to normals and tangents, take an `Initial`.
     t_end, steps, scheme, solver, tol, path, units, title
         Kept in the scene. Histories must cover [0, t_end], or the times that `steps` lists;
         functions of time are called at the start once, to see what they return.
@@ -419,7 +421,9 @@ def build(
     _check_words(**settings)
     steps = settings["steps"]
     start = float(entries("steps", steps)[0]) if axes(steps) else 0.0
-    space = _with_effects(space, effects, start)
+    given, space = space, _with_effects(space, effects, start)
+    if not isinstance(u0, Initial) and np.any(u0):
+        _check_directions(given, space)
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
@@ -495,6 +499,16 @@ def _with_effects(
     space = copy(space)
     vars(space).update(effects=tuple(effects.values()), start=start)
     return space
+
+
+def _check_directions(given: Discretisation, space: Discretisation) -> None:
+    """Refuse numbers for unknowns that effects turn to other directions."""
+    if np.abs(given.extension - space.extension).max() > PARALLEL:
+        raise InputError(
+            "u0: friction turns unknowns of this space to normals and tangents, so that numbers "
+            "along x, y and z would be taken for others; give so.fem.Initial(u=...), or both the "
+            "space and the numbers of scene.discretisation of a scene with these effects"
+        )
 
 
 @contextmanager
