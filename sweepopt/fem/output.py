@@ -48,10 +48,11 @@ SI = {
 """Units of bodies in the plane; energies and forces are per length of the body."""
 OF_WHOLE_BODIES = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
 """Those of solids, bars, chains and sheets, whose loads are not per length."""
-STRESSES = ("N", "N/m", "Pa")
-"""Of bars and chains, of sheets (whose moduli are times their thickness) and of solids."""
 WEIGHTS, TRACTIONS = ("1", "m", "m2", "m3"), ("N", "N/m", "Pa", "Pa/m")
-"""Of contact nodes, by the dimension of what slips; forces of them, and one more if per length."""
+"""Of contact nodes, by the dimension of what slips; forces of them, and one more if per length.
+
+They are those of stresses by the dimension of a bar, a sheet (moduli times thickness) or a solid.
+"""
 
 
 TIMES = {" yr": 365.25 * 86400.0, " d": 86400.0, " h": 3600.0}
@@ -127,7 +128,7 @@ class Report:
         of_contact = {"weight": WEIGHTS[size], "traction": TRACTIONS[size + per_length]}
         if per_length:
             return SI | of_contact
-        return SI | of_contact | OF_WHOLE_BODIES | {"stress": STRESSES[dimension - 1]}
+        return SI | of_contact | OF_WHOLE_BODIES | {"stress": TRACTIONS[dimension - 1]}
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""

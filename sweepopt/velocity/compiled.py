@@ -20,7 +20,14 @@ from sweepopt.checks import Array
 from sweepopt.linalg import Elimination, Factor, is_solid
 from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade, by_solve, refined
-from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, at_rest, one_unknown
+from sweepopt.velocity.certificate import (
+    Inclusion,
+    Instance,
+    Velocity,
+    at_rest,
+    one_unknown,
+    unsolved,
+)
 from sweepopt.velocity.cones import Cones
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.return_mapping import ReturnMapping
@@ -130,14 +137,14 @@ class StateVelocity:
         S = self._copy(S)
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
-        if self._plan.cones:
-            velocity = self._by_cones(of)
-            if velocity.relative <= self._tol:
-                return velocity
+        best = self._by_cones(of) if self._plan.cones else unsolved(of)
+        if best.relative <= self._tol:
+            return best
         if self._cascade is None or not self._cascade.serves(inclusion, S):
             data, anew = (inclusion, self._plan.solver, of, self._tol), self._cascade is not None
             self._cascade = Cascade(*data, self._plan.proved, anew)
-        return self._cascade(of)
+        velocity = self._cascade(of)
+        return best if best.relative < velocity.relative else velocity
 
     def _by_return_mapping(self, of: Instance) -> Velocity | None:
         """By return mapping, and certified; None where alpha' = |p'| is not certain."""
