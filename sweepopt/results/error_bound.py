@@ -164,7 +164,7 @@ def error_bound(
     best = "straight" if stiff else "velocities"
     kind, one_curve, by_points = _methods(process, plan)
     work = math.ceil(WORK[scheme.name][kind] * _moving(run) * len(plan.scheme.b))
-    tol = plan.tol if plan.cones else min(plan.tol, TOL)
+    tol = min(plan.tol, TOL)
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
