@@ -562,6 +562,14 @@ def test_no_traction_is_told_where_an_edge_and_the_face_of_a_sheet_rub():
     assert np.isfinite(slip.use).all()
 
 
+def test_friction_on_two_free_walls_that_meet_a_held_one_is_refused_at_the_corner():
+    rub = [Friction("left", 0.05), Friction("front", 0.15)]
+    with pytest.raises(so.InputError, match="on: it meets another boundary with friction on a hel"):
+        body(space("solid", held={"bottom": "y"}), [*MATERIAL, Dashpot("right", 1.0), *rub])
+    held = space("solid", held={"bottom": "y", "left": "x"})
+    body(held, [*MATERIAL, Dashpot("right", 1.0), *rub])
+
+
 def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():
     ramp, mesh = so.Table([0.0, 1.0], [0.0, 1.0]), square(2)
     sides = {"left": "x", "bottom": "n"}

@@ -436,6 +436,11 @@ def _metric(body: Discretisation, directions: Array, block: int, axes: Any) -> A
         directions = directions * vector("axes", axes, body.components)
     R = directions.reshape(-1, block, body.components)
     metric = R @ R.transpose(0, 2, 1)
+    if np.linalg.matrix_rank(metric, rtol=PARALLEL**2).min() < block:
+        raise InputError(
+            "on: it meets another boundary with friction on a held one, and neither holds its "
+            "normal, so that a corner has no tangent; hold the normal of one of the two"
+        )
     return None if np.allclose(metric, np.eye(block), rtol=0.0, atol=PARALLEL) else metric
 
 
