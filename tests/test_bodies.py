@@ -691,10 +691,6 @@ def test_a_strangers_effects_turn_unknowns_and_serve_plasticity_as_ours_do():
     assert (ours.A != own.A).nnz == (ours.B != own.B).nnz == 0
     z = np.random.default_rng(0).standard_normal(ours.dim)
     assert ours.C.support(z) == own.C.support(z)
-    with pytest.raises(
-        so.InputError, match=r"effects\[1\].turned must be a name or distinct names"
-    ):
-        body(plate, [Viscosity(1.0), Rubber(("left", "left"))])
 
 
 # ---- scene files --------------------------------------------------------------------------------
@@ -734,42 +730,31 @@ def test_a_scene_file_needs_no_mesh_file_and_may_have_several_effects_of_a_kind(
     assert scene.solve().success
 
 
-def test_friction_that_would_not_see_a_displacement_along_it_is_refused():
-    box = fem.grid([1.0, 1.0, 1.0], [2, 2, 2])
-    space = fem.Discretisation(box, "back", kind="solid", held={"front": "ny"})
-    moved = fem.PrescribedDisplacement("front", so.Table([0, 1], [0, 1]), d=[0.0, 1.0, 0.0])
-    effects = [fem.Elasticity(E=1.0, nu=0.2), fem.Viscosity(1.0), fem.Friction("front", g=0.1)]
-    fem.body(space, effects)
-    with pytest.raises(
-        so.InputError,
-        match=r"effects\[3\] moves a tangent of a boundary of effects\[2\], whose slip",
-    ):
-        fem.body(space, [*effects, moved])
+CUBE = Discretisation(grid([1.0, 1.0, 1.0], [2, 2, 2]), "back", kind="solid", held={"front": "ny"})
+FREE = {"mesh": {"sizes": [2.0, 1.0], "cells": [4, 2]}, "clamped": [], "kind": "plane stress"}
+HELD = Discretisation(square(2), "left", kind="plane stress")
 
 
-def test_a_branch_on_a_body_that_a_foundation_alone_holds_is_refused_by_its_name():
-    sheet = {"mesh": {"sizes": [2.0, 1.0], "cells": [4, 2]}, "clamped": [], "kind": "plane stress"}
+def glued(g=1.0, **more):
+    """A free sheet on springs that rubs over its face, for data/refused.txt."""
+    sheet = Discretisation(square(2), (), kind="plane stress")
+    parts = [Elasticity(E=1.0, nu=0.2), Foundation("body", k=1.0), Friction("body", g=g, **more)]
+    return body(sheet, parts)
+
+
+def branch(clamped):
+    """A sheet that creeps, and a branch beside that creep, for data/refused.txt."""
     effects = {
         "viscosity": {"eta": 1.0, "zeta": 1.5},
         "foundation": {"on": "body", "k": 2.0},
         "maxwell": [{"tau": 1.0, "E": 1.0, "nu": 0.3}],
     }
-    scene = {"domain": sheet, "time": {"end": 1.0, "steps": 2}, "effects": effects}
-    with pytest.raises(so.InputError, match=r"^effects.maxwell\[0\].tau: nothing .* \(0, 0\)"):
-        read_scene(scene)
-    held = scene | {"domain": sheet | {"clamped": "left"}}
-    assert read_scene(held).problem.dim == 2 * read_scene(held).discretisation.dim
+    domain = FREE | {"clamped": clamped}
+    return read_scene({"domain": domain, "time": {"end": 1.0, "steps": 2}, "effects": effects})
 
 
-def test_discs_are_not_glued_and_a_bound_that_turns_negative_is_named():
-    sheet = fem.Discretisation(fem.grid([1.0, 1.0], [2, 2]), (), kind="plane stress")
-    parts = [fem.Elasticity(E=1.0, nu=0.2), fem.Foundation("body", k=1.0)]
-    with pytest.raises(so.InputError, match="g is inf where two components could slip"):
-        fem.body(sheet, [*parts, fem.Friction("body", g=np.inf)])
-    falls = fem.Friction("body", g=1.0, history=so.Table([0, 1], [1, -1]))
-    message = r"at t = 0.55: effects\[2\].g times its history must be >= 0, got -0.1"
-    with pytest.raises(so.InputError, match=message):
-        fem.body(sheet, [*parts, falls]).solve(t_end=1.0, steps=4)
+def test_a_branch_on_a_body_that_is_clamped_has_strains_of_its_own():
+    assert branch("left").problem.dim == 2 * branch("left").discretisation.dim
 
 
 def test_elasticity_and_body_forces_act_on_the_whole_body_whatever_is_called_body():
@@ -810,12 +795,6 @@ def test_a_prescribed_displacement_goes_with_a_contact_that_is_bonded():
     assert (solution.velocity[:, at_bottom] == 0.0).all()
 
 
-def test_an_invalid_modulus_in_plane_stress_is_told_under_its_own_name():
-    sheet = Discretisation(grid([1.0, 1.0], [2, 2]), "left", kind="plane stress")
-    with pytest.raises(so.InputError, match=r"^effects\[1\].E.* must be > 0"):
-        body(sheet, [Viscosity(eta=1.0), Elasticity(E="x - 0.5", nu=0.3)])
-
-
 def test_a_contact_of_ones_own_may_name_one_unknown_for_each_node():
     @dataclass(frozen=True)
     class Own:
@@ -837,9 +816,3 @@ def test_a_contact_of_ones_own_may_name_one_unknown_for_each_node():
     assert slips[0].velocity.any()
     assert np.array_equal(slips[0].velocity, slips[1].velocity)
     assert np.array_equal(slips[0].contact.node, slips[1].contact.node)
-
-
-def test_a_force_on_a_point_that_is_clamped_is_refused():
-    clamped = Discretisation(grid([1.0, 1.0], [2, 2]), "left")
-    with pytest.raises(so.InputError, match=r"at: the point \[0.0, 0.5\] is clamped or held"):
-        body(clamped, [Viscosity(1.0), PointForce([0.0, 0.5], so.Constant())])

@@ -464,25 +464,14 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(tmp_path, monkeypatch
 # ---- what is refused ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "changes, words",
-    [
-        ({"steps": so.Adaptive(1e-3)}, "Adaptive"),
-        ({"scheme": "exact"}, "exact"),
-        ({"save": "run.nc"}, "NetCDF"),
-        ({"error": 1e-3}, "error="),
-        ({"solver": so.Cvxpy("OSQP", {"callback": print})}, "plain"),
-        ({"checkpoint": 3}, "checkpoint must be a path"),
-        ({"checkpoint": "no/such/folder/run.npz"}, "there is no folder"),
-        ({"checkpoint": "x" * 300 + ".npz"}, "checkpoint is"),
-        ({"checkpoint": "a\0b.npz"}, "checkpoint is"),
-    ],
-)
-def test_what_cannot_be_continued_is_refused(changes, words, tmp_path):
-    given = {"t_end": 4.0, "steps": 80, "checkpoint": tmp_path / "run.npz", **changes}
-    with pytest.raises(so.InputError, match=words):
-        so.solve(body(), **given)
-    assert not list(tmp_path.iterdir())
+def continued(**changes):
+    """A run with a checkpoint, which leaves no file where it is refused; for data/refused.txt."""
+    with TemporaryDirectory() as place:
+        given = {"t_end": 4.0, "steps": 80, "checkpoint": Path(place) / "run.npz", **changes}
+        try:
+            so.solve(body(), **given)
+        finally:
+            assert not list(Path(place).iterdir())
 
 
 def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path):
@@ -492,9 +481,6 @@ def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path):
         so.solve(body(), t_end=2.0, steps=20, checkpoint=path)
     so.resume(path, body())
     assert so.solve(body(), t_end=1.0, steps=20, checkpoint=path).success
-    for wrong in ({"steps": 0}, {"seconds": -1.0}):
-        with pytest.raises(so.InputError):
-            so.Checkpoint(path, **wrong)
 
 
 @pytest.mark.parametrize("name", ["run.npz", "run.npz.previous"])

@@ -178,7 +178,7 @@ class SolveOptions:
                 "with checkpoint= options are written to a file: a solver must be one of the "
                 "library's own and its settings plain, other options numbers or text "
                 f"({error})"
-            ) from error
+            ) from None
 
     @classmethod
     def from_json(cls, plain: dict[str, Any]) -> SolveOptions:
