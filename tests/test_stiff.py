@@ -19,6 +19,16 @@ def check(row, over_best=2.0):
 
 SOME = [4.0, 1e2, 1e6, math.inf]
 SEEDS = dict.fromkeys(BODIES, (1, 2, 3, 4, 5)) | {"discs": (1, 2)}
+# mu Lam, seeds and steps where "auto" had 2.0 to 5.2 times the best error on whole steps
+UNLUCKY = [
+    ("one mass", "tables", 0.0377, [94916], [79], 1.0),
+    ("one mass", "tables", 0.99, [29268], [64], 1.0),
+    ("chain", "tables", 0.189, [23028], [52], 1.0),
+    ("chain", "tables", 1.65, [73904], [88], 1.0),
+    ("mixed", "tables", 0.0293, [12204], [39], 1.0),
+    ("mixed", "tables", 0.0129, [64279], [40], 1.0),
+    ("discs", "tables", math.inf, [11141], [38], 1.0),
+]
 MANY = [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf]
 
 
@@ -29,6 +39,10 @@ MANY = [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf]
             (*each, [0], [20], 1.0)
             for each in zip((one for one in SEEDS if one != "discs"), cycle(LOADS), SOME)
         ),
+        # below two it neither rings nor is far from the best
+        slow("chain", "sines", 0.01, [0], [25], 2.0),
+        ("chain", "tables", 1.9, [0], [25], 2.0),
+        *(one if k in (0, 2) else slow(*one) for k, one in enumerate(UNLUCKY)),
         *(
             slow(body, load, stiffness, seeds, [60, 150], 2.0)
             for load in LOADS
@@ -37,18 +51,10 @@ MANY = [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf]
         ),
     ],
 )
-def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(
-    body, load, stiffness, seeds, steps, over_best
-):
+def test_auto_is_at_most_twice_the_best_of_three(body, load, stiffness, seeds, steps, over_best):
     for row in stiff_bodies(seeds, [body], [load], [stiffness], steps, bounds=False):
         assert row.scheme == "sdirk32"
         check(row, over_best)
-
-
-@pytest.mark.parametrize("load, stiffness", [slow("sines", 0.01), ("tables", 1.9)])
-def test_below_two_auto_neither_rings_nor_is_far_from_the_best(load, stiffness):
-    for row in stiff_bodies([0], ["chain"], [load], [stiffness], [25], bounds=False):
-        check(row)
 
 
 def test_auto_is_near_the_best_of_three_where_few_switches_of_a_soft_mass_count():
@@ -76,30 +82,6 @@ def test_auto_is_near_the_best_of_three_in_the_mean_of_neighbouring_grids(load, 
         errors.append([max(map(process.metric.norm, u - exact)) for u in runs])
     auto, *others = np.mean(errors, axis=0)
     assert auto <= 1.25 * min(others)
-
-
-# tables, mu Lam and steps where "auto" had 2.0 to 5.2 times the best error on whole steps
-UNLUCKY = (
-    ("one mass", 94916, 0.0377, 79),
-    ("one mass", 29268, 0.99, 64),
-    ("chain", 23028, 0.189, 52),
-    ("chain", 73904, 1.65, 88),
-    ("mixed", 12204, 0.0293, 39),
-    ("mixed", 64279, 0.0129, 40),
-    ("discs", 11141, math.inf, 38),
-)
-
-
-@pytest.mark.parametrize(
-    "case", [*UNLUCKY[:3:2], *(slow(one) for one in (UNLUCKY[1], *UNLUCKY[3:]))]
-)
-def test_breakpoints_anywhere_in_steps_favour_none_of_the_three(
-    case,
-):
-    body, seed, stiffness, steps = case
-    study = stiff_bodies([seed], [body], ["tables"], (stiffness,), [steps], bounds=False)
-    for row in study:
-        check(row, over_best=1.0)
 
 
 def test_a_bound_that_is_a_thousandth_above_the_error_is_not_below_that_of_the_reference():
