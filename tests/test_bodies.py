@@ -178,8 +178,8 @@ def sheet(element="P1", **more):
     return Discretisation(grid([2.0, 1.0], [3, 2]), (), element, kind="plane stress"), effects
 
 
-@pytest.mark.parametrize("element", ["P1", "P2"])
-def test_a_sheet_on_an_orbiting_table_turns_with_the_exact_radius(element):
+@pytest.mark.parametrize("element, grids", [("P1", (8, 16, 32, 64)), ("P2", (16, 32))])
+def test_a_sheet_on_an_orbiting_table_turns_with_the_exact_radius(element, grids):
     """F^2 = (k U)^2 + (eta omega U + g)^2 at every node."""
     omega, U = 3.0, 0.7
     F = np.hypot(2.0 * U, 1.5 * omega * U + 0.5)
@@ -188,14 +188,14 @@ def test_a_sheet_on_an_orbiting_table_turns_with_the_exact_radius(element):
     lag = np.arctan2(1.5 * omega * U + 0.5, 2.0 * U)
     start = np.array([U * np.cos(lag), -U * np.sin(lag)])
     errors = []
-    for steps in (8, 16, 32, 64):
+    for steps in grids:
         u0 = plate.interpolate([float(x) for x in start])
         scene = body(plate, [*effects, turning], u0=u0)
         assert len(scene.contact) == (12 if element == "P1" else 23)
         sol = scene.solve(t_end=2 * np.pi / omega, steps=steps, scheme="midpoint")
         assert sol.stats["relative"].max() < 1e-6
         errors.append(np.abs(plate.expand(sol.u[-1]) - start).max())
-    assert errors[-1] < 1e-3
+    assert errors[-1] < 1e-3 * (64 / grids[-1]) ** 2
     assert np.all(order(errors) > 1.9)
 
 

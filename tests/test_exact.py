@@ -253,7 +253,7 @@ def test_composed_sets_and_moving_scales_are_followed(name, scale):
     load = so.Separable([(so.Sine(2.0, 2.3), np.ones(n)), (so.Sine(1.0, 1.7), rng.normal(size=n))])
     C = so.Moving(shape, load, scale)
     process = so.SweepingProcess(X @ X.T + np.eye(n), Y @ Y.T, C, np.zeros(n))
-    follows_the_inclusion(process, 2.2)
+    follows_the_inclusion(process, 1.1)
 
 
 @pytest.mark.parametrize("seed", [43, 56, 59])
@@ -306,16 +306,16 @@ def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches(
     traction = Traction("right", history=so.Sine(amplitude=2.0, period=4.0))
     effects = [Viscosity(1.0), Elasticity(2.0), traction, Friction("bottom", g=0.5)]
     body = antiplane(mesh, clamped="top", effects=effects)
-    sol = so.solve(body.problem, t_end=4.0, steps=50, scheme="exact")
+    sol = so.solve(body.problem, t_end=4.0, steps=25, scheme="exact")
     assert sol.plan.path == "proportional"
     assert len(sol.exact.switches) >= 4 * len(body.contact.unknown)
     assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-14
     errors = []
-    for n in (50, 100, 200, 400):
+    for n in (25, 50, 100, 200):
         other = so.solve(body.problem, t_end=4.0, steps=n)
-        errors.append(np.abs(other.u[:: n // 50] - sol.u).max())
-    assert slope([50, 100, 200, 400], errors) >= 1.7
-    assert errors[-1] <= 8e-6
+        errors.append(np.abs(other.u[:: n // 25] - sol.u).max())
+    assert slope([25, 50, 100, 200], errors) >= 1.7
+    assert errors[-1] <= 3.2e-5, errors
 
 
 def refused(C):

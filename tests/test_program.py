@@ -130,9 +130,10 @@ def test_one_compiled_program_serves_all_translates_scales_and_offsets():
     for C in motions:
         compiled.clear()
         process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0])
-        sol = so.solve(process, t_end=0.5, steps=20, solver=Counting(), on_unstable="ignore")
+        times = np.append(np.linspace(0.0, 0.25, 11), np.linspace(0.25, 0.5, 6)[1:])
+        sol = so.solve(process, steps=times, solver=Counting(), on_unstable="ignore")
         assert sol.success
-        assert len(compiled) == 1
+        assert 1 <= len(compiled) <= 2  # for two sizes of steps, equal but for rounding
 
 
 class Disc(so.ConvexSet):
