@@ -35,7 +35,7 @@ def parts(sol):
 
 @pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint", "trapezoid", "sdirk2"])
 def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme):
-    sol = so.solve(stiff(4e15), t_end=4.0, steps=4, scheme=scheme, on_unstable="ignore")
+    sol = so.solve(stiff(4e15), t_end=2.0, steps=2, scheme=scheme, on_unstable="ignore")
     assert sol.success
     assert max(parts(sol)) > 1
     assert sol.stats["relative"].max() <= 1e-6
@@ -45,9 +45,9 @@ def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme):
         # the same as so many steps of the same scheme
         pieces = zip(sol.t, sol.t[1:], parts(sol), strict=False)
         fine = np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in pieces])
-        by_hand = so.solve(one(), steps=np.append(fine, 4.0), scheme=scheme, on_unstable="ignore")
-        # velocities of 1 that are right to tol, for 4 units of time
-        assert sol.u[:, 0] == pytest.approx(by_hand(sol.t)[:, 0], abs=4e-6)
+        by_hand = so.solve(one(), steps=np.append(fine, 2.0), scheme=scheme, on_unstable="ignore")
+        # velocities of 1 that are right to tol, for 2 units of time
+        assert sol.u[:, 0] == pytest.approx(by_hand(sol.t)[:, 0], abs=2e-6)
 
 
 def test_the_bound_of_steps_in_parts_is_not_below_their_error():
