@@ -380,17 +380,19 @@ BLOCKS = """*ELEMENT, TYPE=T3D2
 4, 5, 6
 *ELEMENT, TYPE=CPS3, ELSET=core
 5, 1, 2, 5
-6, 1, 5, 4
-*ELEMENT, TYPE=CPS3
+6, 1,
+5, 4
+*ELEMENT, TYPE=cps3
 7, 2, 3, 6
 8, 2, 6, 5
 """
 PARTS = """*ELSET, ELSET=bottom
 1
-*ELSET, ELSET=bottom, GENERATE
+*Elset,
+elset=BOTTOM, generate
 2, 2, 1
 *ELSET, ELSET=ends
-top, bottom
+Top, bottom
 *NSET, NSET=left
 1
 *NSET, NSET=left
@@ -402,7 +404,7 @@ top, bottom
 
 def test_sets_of_an_abaqus_file_are_those_of_all_its_lines(tmp_path):
     """meshio gave the name "top" to the bottom: the first elements have no set."""
-    path = tmp_path / "plate.inp"
+    path = tmp_path / "plate.INP"
     path.write_text(NODES + BLOCKS + PARTS)
     mesh = read_mesh(path)
     lines = {"bottom": 1, "top": 1, "left": 0, "ends": 1}
@@ -411,7 +413,13 @@ def test_sets_of_an_abaqus_file_are_those_of_all_its_lines(tmp_path):
         places = mesh.p[k, mesh.facets[:, mesh.boundaries[name]]]
         assert set(places.ravel()) == ({0.0, 1.0} if name == "ends" else {float(name == "top")})
     assert mesh.p[0, mesh.t[:, mesh.subdomains["core"]]].max() == 1.0
-    for more in (NODES, "*ELEMENT, TYPE=CPS3\n8, 1, 2, 5\n", "*INSTANCE\n1.0, 0.0\n", "*ELGEN\n"):
+    for more in (
+        NODES,
+        "*ELEMENT, TYPE=CPS3\n8, 1, 2, 5\n",
+        "*INSTANCE\n1.0, 0.0\n",
+        "*ELGEN\n",
+        "*NMAP\n",
+    ):
         path.write_text(NODES + BLOCKS + more)
         with pytest.raises(InputError, match=r"two (nodes|elements) of one number|makes or moves"):
             read_mesh(path)

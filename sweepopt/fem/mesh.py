@@ -167,9 +167,9 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", "string or file could not be read")
             warnings.filterwarnings("error", category=RuntimeWarning)
-            abaqus = path.suffix == ".inp"
+            abaqus = path.suffix.lower() == ".inp"
             raw = read_abaqus(content) if abaqus else meshio.read(path, "gmsh" if gmsh else None)
-        if gmsh and b"$Entities" in content:
+        if gmsh and b"\n$Entities" in content:
             group_entities(raw, content)
         _, _, names = content.partition(b"$PhysicalNames")  # their number, then each
         if gmsh and names and int(names.split(None, 1)[0]) > len(raw.field_data):

@@ -16,7 +16,7 @@ import numpy as np
 
 from sweepopt.errors import InputError
 
-MOVED = {"ELGEN", "ELCOPY", "NGEN", "NCOPY", "NFILL", "INCLUDE", "SYSTEM"}
+MOVED = {"ELGEN", "ELCOPY", "NGEN", "NCOPY", "NFILL", "NMAP", "INCLUDE", "SYSTEM"}
 """Keywords of Abaqus that make or move nodes and elements."""
 SETS = {"NODE": "NSET", "ELEMENT": "ELSET", "NSET": "NSET", "ELSET": "ELSET"}
 """Which sets the keywords have, or are."""
@@ -34,10 +34,11 @@ def read_abaqus(content: bytes) -> meshio.Mesh:
     lines = ["*NODE", *map(",".join, nodes)]
     for keyword, given, rows in sections:
         if keyword == "ELEMENT":
-            lines += [f"*ELEMENT, TYPE={given['TYPE']}", *map(",".join, rows)]
+            lines += [f"*ELEMENT, TYPE={given['TYPE'].upper()}", *map(",".join, rows)]
     raw = meshio.read(io.StringIO("\n".join(lines)), "abaqus")
     counts = iter([len(block.data) for block in raw.cells])
     blocks, sets = [], dict[str, dict[str, list[int]]](NSET={}, ELSET={})
+    names = dict[tuple[str, str], str]()  # as they are first written: capitals are the same
     for keyword, given, rows in sections:
         if (kind := SETS.get(keyword)) is None:
             continue
@@ -46,14 +47,18 @@ def read_abaqus(content: bytes) -> meshio.Mesh:
             members = members[:: len(members) // next(counts)]
             blocks.append(members)
         if kind in given:
-            sets[kind].setdefault(given[kind], []).extend(members)
+            names.setdefault((kind, given[kind].upper()), given[kind])
+            sets[kind].setdefault(given[kind].upper(), []).extend(members)
     numbers = [int(row[0]) for row in nodes]
     for what, every in (("nodes", numbers), ("elements", list(chain(*blocks)))):
         if len(set(every)) < len(every):
             raise InputError(f"has two {what} of one number, as files of several parts do")
-    raw.point_sets = {name: _positions(own, numbers) for name, own in sets["NSET"].items()}
+    raw.point_sets = {
+        names["NSET", key]: _positions(own, numbers) for key, own in sets["NSET"].items()
+    }
     raw.cell_sets = {
-        name: [_positions(own, block) for block in blocks] for name, own in sets["ELSET"].items()
+        names["ELSET", key]: [_positions(own, block) for block in blocks]
+        for key, own in sets["ELSET"].items()
     }
     return raw
 
@@ -79,7 +84,7 @@ def group_entities(raw: meshio.Mesh, content: bytes) -> None:
 def _physical(content: bytes) -> Iterator[tuple[tuple[int, int], list[int]]]:
     """Dimension and number of each entity of a Gmsh 4 file, with the numbers of its groups."""
     header = content.split(b"\n", 2)[1].split()
-    body = content.partition(b"$Entities")[2].partition(b"\n")[2]
+    body = content.partition(b"\n$Entities")[2].partition(b"\n")[2]
     words, at = body.partition(b"$")[0].split() if header[1] == b"0" else None, 0
 
     def take(kind: str, count: int = 1) -> list[int]:
@@ -110,6 +115,8 @@ def _sections(text: str) -> Iterator[Section]:
     lines = ["", *(line for line in text.splitlines() if not line.startswith("**"))]
     for section in "\n".join(lines).split("\n*")[1:]:
         head, *lines = section.splitlines()
+        while head.rstrip().endswith(",") and "=" in "".join(lines[:1]):
+            head += lines.pop(0)
         keyword, *given = (part.strip() for part in head.split(","))
         ends = (line.strip().rstrip(",") for line in lines)
         rows = [[part.strip() for part in line.split(",")] for line in ends if line]
@@ -130,4 +137,6 @@ def _members(
     if steps:
         bounds = ([*map(int, row), 1][:3] for row in rows)
         return [k for first, last, step in bounds for k in range(first, last + 1, step)]
-    return [k for one in chain(*rows) for k in (sets[one] if one in sets else [int(one)])]
+    return [
+        k for one in chain(*rows) for k in ([int(one)] if one.isdecimal() else sets[one.upper()])
+    ]
