@@ -645,10 +645,15 @@ def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
     u = scene.discretisation.expand(sp.linalg.spsolve(scene.problem.B, scene.load(0.0)))
     strain = 0.01 * (1.3 if kind == "plane strain" else 1.0)
     np.testing.assert_allclose(u, strain * scene.discretisation.points, atol=1e-14)
-    for other in (replace(heat, E=2.0), replace(heat, nu=0.2)):
+    small = [MATERIAL[0], Elasticity(E=3e-9, nu=0.3)]  # as of other units
+    for given, other in (
+        (MATERIAL, replace(heat, E=2.0)),
+        (MATERIAL, replace(heat, nu=0.2)),
+        (small, replace(heat, E=2e-9)),
+    ):
         with pytest.raises(so.InputError, match=r"effects\[2\].E: the elasticity .* other moduli"):
-            body(space(kind), [*MATERIAL, other])
-        body(space(kind), [*MATERIAL, replace(other, strain=0.0)])
+            body(space(kind), [*given, other])
+        body(space(kind), [*given, replace(other, strain=0.0)])
     oak = Elasticity(tensor=np.diag([3.0, 2.0, 1.0, 1.0, 1.0, 1.0][: 6 if kind == "solid" else 3]))
     with pytest.raises(so.InputError, match="E: an eigenstrain beside an elasticity with a tensor"):
         body(space(kind), [Viscosity(1.0, zeta=1.5), oak, heat])

@@ -953,7 +953,7 @@ def _check_elastic(body: Discretisation, E: Array, nu: Array, where: NDArray[np.
         return
     lam, mu = (sum(one) for one in zip(*laws, strict=True))
     both = 2 * mu * (1 + nu), (3 * lam + 2 * mu) * (1 - 2 * nu)
-    if not np.isclose(E, both)[:, where].all():
+    if not np.isclose(E, both, atol=0.0)[:, where].all():
         raise InputError(
             "E: the elasticity of the scene has other moduli where the eigenstrain acts, which "
             "would make another strain; give the same E and nu"
