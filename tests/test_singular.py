@@ -166,3 +166,16 @@ def test_a_body_that_can_move_is_refused_though_rounding_makes_its_matrix_defini
             zero = np.zeros(len(A))
             with pytest.raises(so.IndefiniteError, match="body"):
                 so.SweepingProcess(A, 2 * A, so.Ball(zero, 1.0), zero)
+
+
+def test_a_bar_on_a_soft_spring_is_no_body_that_can_move():
+    """A spring of 1e-11 of a cell, 1e-8 of the bar: u at its end is that of both in series."""
+    n, soft = 1000, 1e-11
+    ones = np.ones(n)
+    A = sp.diags_array([np.r_[1 + soft, 2 * ones[2:], 1], -ones[1:], -ones[1:]], offsets=[0, 1, -1])
+    end = np.eye(n)[-1]
+    load = so.Separable([(so.Polynomial([0.0, 1.0]), end)])
+    friction = so.image(end[:, None], so.Box(-0.25, 0.25))
+    process = so.EvolutionVI(None, A, load=load, dissipation=friction, u0=0 * ones)
+    u = so.solve(process, t_end=1.0, steps=4).u[-1]
+    np.testing.assert_allclose(u, 0.75 * (1 / (A.diagonal()[0] - 1) + np.arange(n)), rtol=1e-6)
