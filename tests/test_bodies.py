@@ -568,6 +568,8 @@ def test_friction_on_two_free_walls_that_meet_a_held_one_is_refused_at_the_corne
         body(space("solid", held={"bottom": "y"}), [*MATERIAL, Dashpot("right", 1.0), *rub])
     held = space("solid", held={"bottom": "y", "left": "x"})
     body(held, [*MATERIAL, Dashpot("right", 1.0), *rub])
+    almost_free = Friction("left", 0.05, axes=[1.0, 1.0, 1e-7])  # along z, but no corner
+    body(held, [*MATERIAL, Dashpot("right", 1.0), almost_free])
 
 
 def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():

@@ -432,15 +432,15 @@ def _slipping(
 
 def _metric(body: Discretisation, directions: Array, block: int, axes: Any) -> Array | None:
     """|diag(axes) v|^2 of velocities along directions, block by block; None if it is |v|^2."""
-    if axes is not None:
-        directions = directions * vector("axes", axes, body.components)
     R = directions.reshape(-1, block, body.components)
-    metric = R @ R.transpose(0, 2, 1)
-    if np.linalg.matrix_rank(metric, rtol=PARALLEL**2).min() < block:
+    if np.linalg.matrix_rank(R, rtol=PARALLEL).min() < block:
         raise InputError(
             "on: it meets another boundary with friction on a held one, and neither holds its "
             "normal, so that a corner has no tangent; hold the normal of one of the two"
         )
+    if axes is not None:
+        R = R * vector("axes", axes, body.components)
+    metric = R @ R.transpose(0, 2, 1)
     return None if np.allclose(metric, np.eye(block), rtol=0.0, atol=PARALLEL) else metric
 
 
