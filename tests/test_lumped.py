@@ -16,6 +16,7 @@ from sweepopt.fem import (
     read_scene,
 )
 from sweepopt.fem import Friction as Rub
+from sweepopt.fem.contact import slip_of
 from sweepopt.fem.output import Report
 from sweepopt.io import find_scene, read_toml
 from sweepopt.loads import Table
@@ -157,3 +158,13 @@ def test_a_node_between_two_subdomains_counts_once_in_all():
             scene.contact.threshold[np.argsort(scene.contact.node)], expected
         )
         np.testing.assert_allclose(scene.process.B.diagonal(), expected)
+
+
+def test_a_node_of_a_chain_that_rubs_at_its_end_too_has_the_sum_of_both_bounds():
+    space = Discretisation(chain(4), (), kind="lumped")
+    pull = BodyForce(Table([0.0, 1.0], [0.0, 1.0]), 1.0)
+    rubs = [Rub("body", 0.1), Rub("right", 0.2)]
+    scene = body(space, [Viscosity(1.0), Foundation("body", 1.0), *rubs, pull])
+    slip = slip_of(scene, scene.solve(t_end=1.0, steps=2, scheme="implicit-euler"))
+    np.testing.assert_allclose(slip.bound[-1], [0.1, 0.1, 0.1, 0.3])
+    np.testing.assert_allclose(slip.traction[-1], -slip.bound[-1])

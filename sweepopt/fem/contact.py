@@ -405,6 +405,7 @@ def _parts(body: Discretisation, place: Place) -> sp.csr_array:
     of_cells = mesh.nfacets + np.arange(mesh.nelements)
     at = basis.find if hasattr(basis, "normals") else of_cells[basis.tind].ravel()
     rows, columns = place.nodes.T, np.broadcast_to(at[:, None], basis.dx.shape)
+    columns = rows if body.lumped else columns  # a node is its own facet, and all of its cell
     entries = basis.dx.ravel(), (rows.ravel(), columns.ravel())
     return sp.csr_array(entries, shape=(body.scalar.N, mesh.nfacets + mesh.nelements))
 

@@ -934,7 +934,7 @@ def _check_compressible(nu: Array) -> None:
     if nu.max() >= 0.5:
         raise InputError(
             f"nu must be < 0.5, got {nu.max():g}: incompressible bodies are not in the class; in "
-            "plane stress 0.499999 gives the same"
+            "plane stress take 0.499999"
         )
 
 
