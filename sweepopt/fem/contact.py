@@ -69,8 +69,8 @@ class Yield(Brief):
         Bound of each block's force, per length, area or volume.
     histories : sequence of callable
         Functions of time that g is made of, as data: steps end at their breakpoints.
-    lengths : as metric, or None
-        <lengths x, x> is the square of the displacement along the tangents, which `slip` takes.
+    slip_metric : as metric, or None
+        <slip_metric x, x> is the square of the displacement along the tangents, which `slip` takes.
     label : str
         What errors put in front of g, such as "effects.friction."; a scene sets it.
     metric : ndarray, shape (m, block, block), or None
@@ -94,7 +94,7 @@ class Yield(Brief):
     contact: Contact | None = None
     slip: SlipLaw | None = None
     histories: Sequence[Callable[[float], Any]] = ()
-    lengths: Array | None = None
+    slip_metric: Array | None = None
     label: str = ""
 
     def check(self, start: float) -> None:
@@ -118,7 +118,8 @@ class Yield(Brief):
         if self.slip is None or u is None:
             return radii
         moved = (self.rows.E @ u).reshape(-1, self.rows.block)
-        along = moved if self.lengths is None else np.einsum("kij,kj->ki", self.lengths, moved)
+        G = self.slip_metric
+        along = moved if G is None else np.einsum("kij,kj->ki", G, moved)
         return radii * self.slip(np.sqrt((moved * along).sum(axis=1)))
 
     @property
@@ -136,9 +137,9 @@ class Yield(Brief):
     @property
     def tangential(self) -> Array:
         """Of blocks of one row the length along the tangents of its unit motion, shape (m,)."""
-        if self.rows.block > 1 or self.lengths is None:
+        if self.rows.block > 1 or self.slip_metric is None:
             return np.ones(len(self.rows.weight))
-        return np.sqrt(self.lengths[:, 0, 0])
+        return np.sqrt(self.slip_metric[:, 0, 0])
 
     @property
     def euclidean_rows(self) -> sp.csr_array:
@@ -378,14 +379,14 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         )
         E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
-        metric, lengths = (
+        metric, of_slip = (
             _metric(body, directions[mine][some >= 0], block, axes) for axes in (law.axes, None)
         )
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
         histories = () if law.history is None else (law.history,)
-        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories, lengths))
+        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories, of_slip))
     return yields
 
 
@@ -622,8 +623,9 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     velocity[speed <= REST * speed.max()] = 0.0
     laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
     mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
-    of_facets = contact.parts[:, : scene.discretisation.mesh.nfacets].sum(axis=1)
-    one_kind = (of_facets == 0) | (of_facets == contact.weight)
+    facets = scene.discretisation.mesh.nfacets
+    of_facets, of_cells = contact.parts[:, :facets], contact.parts[:, facets:]
+    one_kind = (of_facets.sum(axis=1) == 0) | (of_cells.sum(axis=1) == 0)
     size = np.where(one_kind, contact.weight, np.nan)  # no sum of a length and an area
     weight = np.where(mixed, np.nan, size)
     return Slip(

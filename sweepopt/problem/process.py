@@ -64,8 +64,9 @@ PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 NOT_HELD = (
     "A and B let the body move as a whole: A u = B u = 0 for one u other than 0 (their common "
     "kernel), whose size nothing determines. Clamp a part of the body, or of each piece (leave "
-    "these unknowns out of A and B), or give a foundation or dashpot. A bounded C(t) holds only up "
-    "to its faces: give a little elasticity to an element that shall have none"
+    "these unknowns out of A and B), or give a foundation or dashpot. A bounded C(t) is not "
+    "enough, as it leaves the velocity open on its faces: give a little elasticity to an element "
+    "without any"
 )
 SHOWN = 5  # jumps that a warning names
 MANY = 1000

@@ -93,6 +93,7 @@ class Cones:
         assert rows is not None
         self._M, self._tol, self._rows, self.S, self._radii = M, tol, rows, S, radii(S)
         self._transposed = sp.csr_array(rows.E.T)
+        self._sizes = abs(rows.E)
         m, b, _ = rows.local.entries.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
         compliance = compliance.reshape(b, m).mean(axis=0)
@@ -147,7 +148,7 @@ class Cones:
         still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
         s, gap = self._normals(g, z, still)
         self.w = w = -(self._transposed @ s)
-        rounding = ROUNDING * (abs(self._transposed) @ np.abs(s))
+        rounding = ROUNDING * (self._sizes.T @ np.abs(s))
         return Proposal(z, w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
     def _normals(self, g: Array, z: Array, still: Array) -> tuple[Array, float]:
@@ -157,10 +158,12 @@ class Cones:
         """
         s, rates = self._s, np.where(still, 0.0, self._rates(z))
         speed = lengths(rates)
-        rounding = ROUNDING * lengths((abs(self._rows.E) @ np.abs(z)).reshape(s.shape))
+        rounding = ROUNDING * lengths((self._sizes @ np.abs(z)).reshape(s.shape))
         share = np.divide(1.0, speed, out=np.zeros_like(speed), where=speed > 0)
         normal = g * share * rates
+        # of rates that are off by r: g r^2 / 2 (|v| - r) for r < |v| / 2, else 2 g r
         of_normal = 4 * g * rounding**2 * share
+        # 2 g r, and g r for the rounding of both products
         of_s = np.maximum(g * speed - (s * rates).sum(axis=0), 0.0) + ~still * (3 * g * rounding)
         # |E_k^T (normal - s)|^2 in the metric of M^-1 is about |normal - s|^2 / weights
         residual = lengths(normal - s) ** 2 / self._weights
