@@ -4,20 +4,22 @@ import json
 import os
 import shutil
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 import pytest
-from selenium import webdriver
 
 
 @contextmanager
 def chromium(profile):
-    """A driver with nothing open; tests are skipped without Chromium."""
+    """A driver with nothing open; tests are skipped without Chromium or Selenium."""
     binary, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not binary or not chromedriver:
-        reason = "the apt packages chromium and chromium-driver are not installed"
+    if not binary or not chromedriver or not find_spec("selenium"):
+        reason = "needs the apt packages chromium and chromium-driver and the extra dev"
         if os.environ.get("SWEEPOPT_BROWSER") == "required":
             pytest.fail(reason)
         pytest.skip(reason)
+    from selenium import webdriver
+
     options = webdriver.ChromeOptions()
     options.binary_location = binary
     disabled = ["gpu", "dev-shm-usage", "quic", "background-networking", "component-update"]

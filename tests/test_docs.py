@@ -14,7 +14,6 @@ import matplotlib.pyplot as plt
 import pytest
 from browser import chromium, requested
 from cases import slow
-from selenium.webdriver.common.by import By
 
 import sweepopt as so
 from sweepopt import fem, sets, study
@@ -170,9 +169,9 @@ def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path
         assert min(driver.execute_script(widths)) > 300
         driver.get((site / "theory.html").as_uri())
         driver.get((site / "gallery" / "tube.html").as_uri())
-        assert "Tube pulled through its housing" in driver.find_element(By.TAG_NAME, "h1").text
-        driver.get(driver.find_element(By.LINK_TEXT, "Friction").get_attribute("href"))
-        assert driver.find_element(By.ID, "sweepopt.fem.Friction").is_displayed()
+        assert "Tube pulled through its housing" in driver.find_element("tag name", "h1").text
+        driver.get(driver.find_element("link text", "Friction").get_attribute("href"))
+        assert driver.find_element("id", "sweepopt.fem.Friction").is_displayed()
         assert driver.current_url.endswith("api/fem.html#sweepopt.fem.Friction")
         assert driver.get_log("browser") == []
         asked = requested(driver)

@@ -4,9 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from browser import chromium, requested
-from selenium.webdriver.common.action_chains import ActionChains
-from selenium.webdriver.common.by import By
-from selenium.webdriver.support.wait import WebDriverWait
 from study_table import NASTY, study_table
 
 import sweepopt as so
@@ -69,12 +66,16 @@ class Browser:
     def all(self, selector, diagram=None):
         """Elements of the page or of a diagram."""
         where = self.driver if diagram is None else self.all(".plotly-graph-div")[diagram]
-        return list(where.find_elements(By.CSS_SELECTOR, selector))
+        return list(where.find_elements("css selector", selector))
 
     def point_at(self, element):
+        from selenium.webdriver.common.action_chains import ActionChains
+
         return ActionChains(self.driver).scroll_to_element(element).move_to_element(element)
 
     def wait_for(self, condition):
+        from selenium.webdriver.support.wait import WebDriverWait
+
         WebDriverWait(self.driver, 10).until(lambda _: condition())
 
     def text(self):
