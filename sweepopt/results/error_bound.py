@@ -81,14 +81,15 @@ STIFF = 10
 """If step * lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds
 with implicit Euler were 1.1 times those with sdirk2 at step * lam = 10, 1.4 times at 2, up to 4
 times at 0.5 and 9 times at 0.002."""
-WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 5, 2.4)}
+WORK = {"implicit-euler": (12, 7, 4.4), "sdirk2": (7, 3.6, 2.4)}
 """Steps that all second runs together may take, by their scheme, for each program of the run: for
 up to SMALL unknowns and exact projections; for other bodies; and for those of more than LARGE
 unknowns. For more than SMALL unknowns steps at rest do not count, as one takes a fiftieth of the
 time of another: on boxes in 200 to 4,000 unknowns, with 8 of 20 steps at rest, bounds took 15 to 33
 times as long as the run when they counted, 9 to 11 times when not, and were then 1.01 to 1.1 times
-as loose. Beside those of the run a step of the second run is dearer from case to case: with these
-numbers bounds take at most 10 to 12 times as long as the run."""
+as loose. Beside those of the run a step of the second run is dearer from case to case: with 5 in
+place of 3.6 bounds of balls that are cut, added or mapped took 9 to 20 times as long as the run,
+now 5 to 14 times."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With the work of small bodies bounds took 13 times as long as the run for 120 unknowns,
 11 for 72, 10 for 7 (the work of others: 9, 8); with that of others 47 times for 1,056."""
@@ -287,8 +288,8 @@ def _more(passes: list[tuple[int, float]], goal: float, left: int) -> int:
     missing = (bound / goal) ** (1 / order) - 1 if goal > 0 else math.inf
     if missing < LEAST_REFINEMENT:
         return 0
-    # the last pass that WORK allows takes what is left
-    finer = MOST_REFINEMENT * n if left > (1 + 2 * MOST_REFINEMENT) * n else left
+    # the last pass that WORK allows takes what is left: one after it would not be twice as fine
+    finer = MOST_REFINEMENT * n if left > (1 + 3 * MOST_REFINEMENT) * n else left
     return math.ceil(min(missing * n, finer, left))
 
 
