@@ -88,8 +88,8 @@ class Scene(Displayed):
         What makes C(t) more than a point; empty without friction and yield stresses.
     internal : tuple of slice
         The internal unknowns of each effect among all.
-    changes : tuple of str
-        What `read_scene` was told to change in the file.
+    tables, changes : tuple of str
+        Names of the effects in the file, and what `read_scene` was told to change there.
     """
 
     problem: EvolutionVI | SweepingProcess
@@ -110,6 +110,7 @@ class Scene(Displayed):
     lifts: tuple[tuple[History, Array], ...] = ()
     yields: tuple[Yield, ...] = ()
     internal: tuple[slice, ...] = ()
+    tables: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
 
     _instead: ClassVar = {"run": "scene.solve() runs it", "u": "scene.solve().u are the states"}
