@@ -261,7 +261,7 @@ class Scene(Displayed):
         """
         folder = folder_at("folder", as_path("folder", folder))
         drawn = [f"{name}.png" for name in pictures.pictures_of(self)]
-        pictures.write(output.Report(self, solution, name=folder.name), folder, drawn)
+        output.write(output.Report(self, solution, name=folder.name), folder, drawn)
         return folder
 
     @with_checks
