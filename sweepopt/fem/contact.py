@@ -557,11 +557,6 @@ class Slip:
         return np.abs(signed_lengths(self.velocity))
 
     @cached_property
-    def share(self) -> Array:
-        """Share of the contact's length that slips in each step, shape (n,)."""
-        return (self.state != 0) @ self.contact.shares
-
-    @cached_property
     def total(self) -> Array:
         """int |u'| dt of each node, shape (m,)."""
         return np.asarray(np.diff(self.t) @ self.speed)
@@ -569,10 +564,11 @@ class Slip:
     def statistics(self) -> SlipStatistics:
         """The slip statistics of the run."""
         slipping = self.state != 0
-        most = int(np.argmax(self.share))
+        shares = slipping @ self.contact.shares  # of each step
+        most = int(np.argmax(shares))
         return SlipStatistics(
             ever=float(slipping.any(axis=0) @ self.contact.shares),
-            most=float(self.share[most]),
+            most=float(shares[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),
             largest_total=float(self.total.max()),
