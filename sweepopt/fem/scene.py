@@ -88,8 +88,10 @@ class Scene(Displayed):
         What makes C(t) more than a point; empty without friction and yield stresses.
     internal : tuple of slice
         The internal unknowns of each effect among all.
-    tables, changes : tuple of str
-        Names of the effects in the file, and what `read_scene` was told to change there.
+    tables : tuple of str
+        Names of the effects, in a file those of their tables, such as "traction[0]".
+    changes : tuple of str
+        What `read_scene` was told to change in the file.
     """
 
     problem: EvolutionVI | SweepingProcess
@@ -428,10 +430,9 @@ def build(
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
+    tables = tuple(label.removeprefix("effects.") for label in effects)
     fields = {"u": slice(0, space.dim)} | {
-        label.removeprefix("effects."): one
-        for label, one in zip(effects, internal, strict=True)
-        if one.stop > one.start
+        name: one for name, one in zip(tables, internal, strict=True) if one.stop > one.start
     }
     parts = _on_all_unknowns(space.dim, parts, internal)
     A, B = total(parts, "A"), total(parts, "B")
@@ -467,6 +468,7 @@ def build(
         lifts=lifts,
         yields=yields,
         internal=internal,
+        tables=tables,
         **settings,
     )
 

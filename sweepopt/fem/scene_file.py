@@ -231,7 +231,6 @@ def _scene_of(
     missing = MISSING | {"on": f"; the boundaries are: {there}"}
     chosen = {label: _construct(*tables[label], label, folder, missing) for label in tables}
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
-    settings["tables"] = tuple(label.removeprefix("effects.") for label in tables)
     settings["changes"] = (
         *(f"{path} = {value!r}" for path, value in changes.items()),
         *(f"without {name}" for name in names_of(without)),
