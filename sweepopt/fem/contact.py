@@ -25,7 +25,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
 from sweepopt.fem.spaces import Discretisation, Place
-from sweepopt.loads import Separable
+from sweepopt.loads import Constant, Separable
 from sweepopt.sets import Balls, Box, ConvexSet, SecondOrderCone, images, product
 
 if TYPE_CHECKING:
@@ -169,13 +169,13 @@ def _require_bounds(name: str, values: Any) -> None:
 
 
 def by_history(yields: Sequence[Yield]) -> list[tuple[Any, list[Yield]]]:
-    """For each history the yields whose bounds it multiplies, for None those whose bounds rest.
+    """For each history the yields whose bounds it multiplies, a constant one where bounds rest.
 
     Empty where a bound moves in another way.
     """
-    groups: dict[int, tuple[Any, list[Yield]]] = {}
+    groups, rest = dict[int, tuple[Any, list[Yield]]](), Constant()
     for one in yields:
-        terms = one.g.terms if isinstance(one.g, Separable) else [(None, one.g)]
+        terms = one.g.terms if isinstance(one.g, Separable) else [(rest, one.g)]
         (phi, g), *others = terms
         if others or callable(g):
             return []

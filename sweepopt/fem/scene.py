@@ -598,11 +598,10 @@ def _problem(
     if slipping:
         return SweepingProcess(A, B, StateDependent(at, sum(slipping), histories), u0, fields)
     C = MovingSet(at, A.shape[0], histories)
-    parts = [(phi, -dissipation(some)()) for phi, some in by_history(yields)]
+    parts = tuple((phi, -dissipation(some)()) for phi, some in by_history(yields))
     if parts and not isinstance(force, _Load):  # all of it is data
-        constant = next((S for phi, S in parts if phi is None), Point(np.zeros(A.shape[0])))
-        scaled = tuple((phi, S) for phi, S in parts if phi is not None)
-        C.summands = Summands(() if force is None else force.terms, constant, scaled)
+        at_rest = Point(np.zeros(A.shape[0]))
+        C.summands = Summands(() if force is None else force.terms, at_rest, parts)
     return SweepingProcess(A, B, C, u0, fields)
 
 
