@@ -28,9 +28,9 @@ from equal_error import Result, Task, cheapest, friction_of, ours, timed
 
 import sweepopt as so
 from sweepopt.study import machine
-from sweepopt.study.problems import BLOCK
+from sweepopt.study.problems import problem
 
-SCRIPT = Path(package_runs.__file__)
+BLOCK, SCRIPT = problem("block"), Path(package_runs.__file__)
 ERRORS = (1e-3, 1e-5, 1e-8)
 PATIENCE = 120.0
 """Seconds after which a run of a package is ended."""

@@ -224,8 +224,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     path = _readable(find_scene(options.scene))
-    from sweepopt.fem import pictures, read_scene
-    from sweepopt.fem.output import Report
+    from sweepopt.fem import output, pictures, read_scene
     from sweepopt.fem.scene_file import parse_changes
     from sweepopt.plot import new_figure
 
@@ -254,13 +253,13 @@ def _run(options: argparse.Namespace) -> int:
     solution = run_over(process, solving, grid, progress=not options.no_progress)
     seconds, code = clock.perf_counter() - started, DONE if solution.success else INCOMPLETE
     if len(solution.steps):
-        report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
+        report = output.Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
-            files = pictures.write(report, folder, drawn)
+            files = output.write(report, folder, drawn)
         except OSError as error:  # a full disk: the run is not lost if there is another
             _say(f"{folder}: the results cannot be written there ({error.strerror or error})")
             folder, code = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), INCOMPLETE
-            files = pictures.write(report, folder, drawn)
+            files = output.write(report, folder, drawn)
         _conclude(report, folder, files)
         if norms is not None:
             bound = solution.error_bound()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import sweepopt as so
-from sweepopt.study.problems import BLOCK
+from sweepopt.study.problems import problem
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 import equal_error
@@ -26,7 +26,8 @@ pytestmark = pytest.mark.slow  # .ci/run runs them
 
 @pytest.fixture(scope="module")
 def task():
-    return Task.of(BLOCK.process(), BLOCK.t_end)
+    block = problem("block")
+    return Task.of(block.process(), block.t_end)
 
 
 # ---- loops by hand ----------------------------------------------------------------------------

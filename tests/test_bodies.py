@@ -318,6 +318,15 @@ def test_friction_bounds_with_histories_have_a_guaranteed_error_bound(more):
     close_bound(sol, fine.t, fine.u, 4, 0.98)
 
 
+def test_a_load_that_is_a_function_makes_a_sampled_bound_beside_a_friction_with_a_history():
+    """It was a TypeError: the load counted as data."""
+    push = BodyForce(so.Constant(), "5 * x * t")
+    scene = antiplane(square(2), clamped="top", effects=[Viscosity(0.1), LEFT, push])
+    with pytest.warns(so.BoundWarning, match="a function of time"):
+        bound = scene.solve(t_end=0.5, steps=4).error_bound()
+    assert 0.0 < bound < 1.0
+
+
 @dataclass(frozen=True)
 class Rubs:
     """Friction of one's own whose bound is a sum of two terms, one of which may be negative."""

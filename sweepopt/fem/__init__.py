@@ -18,7 +18,6 @@ with brought_by("fem"):
     import skfem
 
 from sweepopt.fem.contact import Contact, Rows, Yield
-from sweepopt.fem.effect_costs import compare_effects
 from sweepopt.fem.effects import (
     BodyForce,
     Contribution,
@@ -41,7 +40,7 @@ from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import Scene, antiplane, body
-from sweepopt.fem.scene_file import EFFECTS, read_scene
+from sweepopt.fem.scene_file import EFFECTS, compare_effects, read_scene
 from sweepopt.fem.spaces import Discretisation
 
 __all__ = [

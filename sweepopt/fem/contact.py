@@ -25,7 +25,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
 from sweepopt.fem.spaces import Discretisation, Place
-from sweepopt.loads import Separable
+from sweepopt.loads import Constant, Separable
 from sweepopt.sets import Balls, Box, ConvexSet, SecondOrderCone, images, product
 
 if TYPE_CHECKING:
@@ -169,13 +169,13 @@ def _require_bounds(name: str, values: Any) -> None:
 
 
 def by_history(yields: Sequence[Yield]) -> list[tuple[Any, list[Yield]]]:
-    """For each history the yields whose bounds it multiplies, for None those whose bounds rest.
+    """For each history the yields whose bounds it multiplies, a constant one where bounds rest.
 
     Empty where a bound moves in another way.
     """
-    groups: dict[int, tuple[Any, list[Yield]]] = {}
+    groups, rest = dict[int, tuple[Any, list[Yield]]](), Constant()
     for one in yields:
-        terms = one.g.terms if isinstance(one.g, Separable) else [(None, one.g)]
+        terms = one.g.terms if isinstance(one.g, Separable) else [(rest, one.g)]
         (phi, g), *others = terms
         if others or callable(g):
             return []
@@ -557,11 +557,6 @@ class Slip:
         return np.abs(signed_lengths(self.velocity))
 
     @cached_property
-    def share(self) -> Array:
-        """Share of the contact's length that slips in each step, shape (n,)."""
-        return (self.state != 0) @ self.contact.shares
-
-    @cached_property
     def total(self) -> Array:
         """int |u'| dt of each node, shape (m,)."""
         return np.asarray(np.diff(self.t) @ self.speed)
@@ -569,10 +564,11 @@ class Slip:
     def statistics(self) -> SlipStatistics:
         """The slip statistics of the run."""
         slipping = self.state != 0
-        most = int(np.argmax(self.share))
+        shares = slipping @ self.contact.shares  # of each step
+        most = int(np.argmax(shares))
         return SlipStatistics(
             ever=float(slipping.any(axis=0) @ self.contact.shares),
-            most=float(self.share[most]),
+            most=float(shares[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),
             largest_total=float(self.total.max()),

@@ -19,6 +19,7 @@ import meshio
 import numpy as np
 
 from sweepopt import io
+from sweepopt.fem import pictures
 from sweepopt.fem.contact import Slip, signed_lengths, slip_of
 from sweepopt.plot import MOST_FRAMES, even_steps
 from sweepopt.results import software, solver_name, write_dataset
@@ -144,6 +145,21 @@ class Report:
         """A time in words."""
         unit, seconds = self.clock
         return f"t = {t / seconds:.5g}{unit}"
+
+
+def write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
+    """Write all files of a run, pictures by their names; what was written, the summary last."""
+    write_netcdf(report, folder / "solution.nc")
+    for path in map(folder.joinpath, drawn):
+        if path.suffix != ".png":
+            pictures.animate(report, path, path.stem)
+            continue
+        with io.replacing(path) as part:
+            pictures.draw(report, path.stem).savefig(part)
+    series = [path.relative_to(folder).as_posix() for path in write_vtu(report, folder)]
+    files = ["solution.nc", *drawn, *series]
+    write_summary(report, folder, files)
+    return [*files, SUMMARY]
 
 
 def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:

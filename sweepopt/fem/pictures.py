@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +10,9 @@ import numpy as np
 
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
-from sweepopt.fem import output, snapshots
+from sweepopt.fem import snapshots
 from sweepopt.fem.contact import Slip
 from sweepopt.fem.effects import released
-from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import (
     STATE_COLOURS,
     colours_of,
@@ -21,7 +20,7 @@ from sweepopt.fem.snapshots import (
     name_axis,
     states_of,
 )
-from sweepopt.io import replacing, writable
+from sweepopt.io import writable
 from sweepopt.plot import (
     LOOKS,
     STICK,
@@ -34,6 +33,7 @@ from sweepopt.plot import (
 )
 
 if TYPE_CHECKING:
+    from sweepopt.fem.output import Report
     from sweepopt.fem.scene import Scene
     from sweepopt.results import Solution
 
@@ -64,21 +64,6 @@ def refusal(scene: Scene, name: str) -> str:
     }
     what, fits = needs[choice("picture", name, needs)]
     return "" if fits else f"{name} needs {what}"
-
-
-def write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
-    """Write all files of a run, pictures by their names; what was written, the summary last."""
-    output.write_netcdf(report, folder / "solution.nc")
-    for path in map(folder.joinpath, drawn):
-        if path.suffix != ".png":
-            animate(report, path, path.stem)
-            continue
-        with replacing(path) as part:
-            draw(report, path.stem).savefig(part)
-    series = [path.relative_to(folder).as_posix() for path in output.write_vtu(report, folder)]
-    files = ["solution.nc", *drawn, *series]
-    output.write_summary(report, folder, files)
-    return [*files, output.SUMMARY]
 
 
 def pictures_of(scene: Scene) -> list[str]:

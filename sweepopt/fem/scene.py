@@ -88,6 +88,8 @@ class Scene(Displayed):
         What makes C(t) more than a point; empty without friction and yield stresses.
     internal : tuple of slice
         The internal unknowns of each effect among all.
+    tables : tuple of str
+        Names of the effects, in a file those of their tables, such as "traction[0]".
     changes : tuple of str
         What `read_scene` was told to change in the file.
     """
@@ -110,6 +112,7 @@ class Scene(Displayed):
     lifts: tuple[tuple[History, Array], ...] = ()
     yields: tuple[Yield, ...] = ()
     internal: tuple[slice, ...] = ()
+    tables: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
 
     _instead: ClassVar = {"run": "scene.solve() runs it", "u": "scene.solve().u are the states"}
@@ -260,7 +263,7 @@ class Scene(Displayed):
         """
         folder = folder_at("folder", as_path("folder", folder))
         drawn = [f"{name}.png" for name in pictures.pictures_of(self)]
-        pictures.write(output.Report(self, solution, name=folder.name), folder, drawn)
+        output.write(output.Report(self, solution, name=folder.name), folder, drawn)
         return folder
 
     @with_checks
@@ -427,10 +430,9 @@ def build(
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
+    tables = tuple(label.removeprefix("effects.") for label in effects)
     fields = {"u": slice(0, space.dim)} | {
-        label.removeprefix("effects."): one
-        for label, one in zip(effects, internal, strict=True)
-        if one.stop > one.start
+        name: one for name, one in zip(tables, internal, strict=True) if one.stop > one.start
     }
     parts = _on_all_unknowns(space.dim, parts, internal)
     A, B = total(parts, "A"), total(parts, "B")
@@ -466,6 +468,7 @@ def build(
         lifts=lifts,
         yields=yields,
         internal=internal,
+        tables=tables,
         **settings,
     )
 
@@ -595,10 +598,10 @@ def _problem(
     if slipping:
         return SweepingProcess(A, B, StateDependent(at, sum(slipping), histories), u0, fields)
     C = MovingSet(at, A.shape[0], histories)
-    if parts := [(phi, -dissipation(some)()) for phi, some in by_history(yields)]:
-        constant = next((S for phi, S in parts if phi is None), Point(np.zeros(A.shape[0])))
-        scaled = tuple((phi, S) for phi, S in parts if phi is not None)
-        C.summands = Summands(() if force is None else force.terms, constant, scaled)
+    parts = tuple((phi, -dissipation(some)()) for phi, some in by_history(yields))
+    if parts and not isinstance(force, _Load):  # all of it is data
+        at_rest = Point(np.zeros(A.shape[0]))
+        C.summands = Summands(() if force is None else force.terms, at_rest, parts)
     return SweepingProcess(A, B, C, u0, fields)
 
 

@@ -8,16 +8,20 @@ as ``effects.friction.g``.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from inspect import signature
 from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from sweepopt.checks import at_path, choice, count, from_table, listed, meaning, number
-from sweepopt.errors import InputError, shown, suggestion
+from sweepopt.errors import InputError, brought_by, shown, suggestion
 from sweepopt.fem import effects
 from sweepopt.fem.fields import Profile, SlipWeakening
 from sweepopt.fem.initial import Initial
@@ -28,6 +32,9 @@ from sweepopt.fem.scene import Scene, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Modulated, Sine, Table, Triangle, check_points
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 EFFECTS: dict[str, type] = {
     "viscosity": effects.Viscosity,
@@ -183,7 +190,14 @@ def read_scene(
     >>> read_scene("square", changes={"effects.friction.g": 0.5}, without=["traction"]).left_out
     ('no load: f = 0',)
     """
-    data, folder, where = load_scene(source, folder)
+    folder, where = as_path("folder", folder), ""
+    if isinstance(source, Mapping):
+        data = source
+    elif isinstance(source, str) and "\n" in source:
+        data = parse_toml("the scene", source)
+    else:
+        path = find_scene(source) if isinstance(source, str) else as_path("source", source)
+        data, folder, where = read_toml(path), path.parent, f"{source}: "
     with at_path(where):
         return _scene_of(changed(data, changes or {}), folder, changes or {}, without)
 
@@ -198,19 +212,6 @@ read_scene.__doc__ = str(read_scene.__doc__).replace(
     "EFFECTS_AND_KEYS",
     "\n        ".join(f"{name:<24} {keys_of(kind)}" for name, kind in EFFECTS.items()),
 )
-
-
-def load_scene(
-    source: str | Path | Mapping[str, Any], folder: str | Path = "."
-) -> tuple[Mapping[str, Any], Path, str]:
-    """The tables of a scene, where its relative paths start, and what its errors begin with."""
-    folder = as_path("folder", folder)
-    if isinstance(source, Mapping):
-        return source, folder, ""
-    if isinstance(source, str) and "\n" in source:
-        return parse_toml("the scene", source), folder, ""
-    path = find_scene(source) if isinstance(source, str) else as_path("source", source)
-    return read_toml(path), path.parent, f"{source}: "
 
 
 def _scene_of(
@@ -483,3 +484,83 @@ def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
             )
         kept = [one for one in kept if one not in gone]
     return kept
+
+
+# ---- what the effects of a scene cost: the scene beside itself without each of them ----
+
+
+def compare_effects(
+    source: str | Path | Mapping[str, Any],
+    *,
+    changes: Mapping[str, Any] | None = None,
+    without: Sequence[str] = (),
+    steps: int = 5,
+) -> DataFrame:
+    """The scene, and the scene without each of its effects that it can be without, as a table.
+
+    Parameters
+    ----------
+    source, changes, without
+        As for `read_scene`.
+    steps : int
+        The first steps of the run are taken, of the scene's length; the time of one is the median.
+
+    Returns
+    -------
+    pandas DataFrame
+        A row "all effects", then one "without ..." for each effect, with the columns ``unknowns``,
+        ``nonsmooth_unknowns``, ``sets`` (how many bound forces, and their shapes), ``nonzeros_A``
+        and ``nonzeros_B`` (0 where there is no matrix), ``path`` (how a step is solved,
+        `Plan.path`), ``solvers`` (which ones took the steps; none where the path is linear),
+        ``seconds`` (of a step, the median) and ``certificate`` (the worst relative one).
+
+    Raises
+    ------
+    InputError
+        As `read_scene` does.
+
+    Examples
+    --------
+    >>> table = compare_effects("square", steps=2)
+    >>> table.path["all effects"], table.path["without friction"]
+    ('proportional', 'linear')
+    """
+    with brought_by("fem"):  # with xarray
+        import pandas as pd
+    whole = read_scene(source, changes=changes, without=without)
+    costs = {"all effects": _cost(whole, count("steps", steps))}
+    for name in whole.tables:
+        with suppress(InputError):  # the scene cannot be without it
+            scene = read_scene(source, changes=changes, without=[*names_of(without), name])
+            costs[f"without {name}"] = _cost(scene, steps)
+    return pd.DataFrame.from_dict(costs, orient="index")
+
+
+def _cost(scene: Scene, steps: int) -> dict[str, Any]:
+    taken = min(steps, scene.steps)
+    solution = scene.solve(t_end=scene.t_end * taken / scene.steps, steps=taken)
+    plan, stats, process = solution.plan, solution.stats, solution.process
+    nonzeros = [0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B)]
+    return {
+        "unknowns": plan.unknowns,
+        "nonsmooth_unknowns": plan.nonsmooth_unknowns,
+        "sets": _sets(scene),
+        "nonzeros_A": nonzeros[0],
+        "nonzeros_B": nonzeros[1],
+        "path": plan.path,
+        "solvers": ", ".join(sorted(set(stats["solver"].tolist()) - {"linear"})),
+        "seconds": np.median(stats["seconds"]),
+        "certificate": stats["relative"].max(),
+    }
+
+
+def _sets(scene: Scene) -> str:
+    """How many sets of each shape."""
+    counted: Counter[str] = Counter()
+    for one in scene.yields:
+        size, cone = one.rows.block, one.slopes is not None
+        name = f"{'cones' if cone else 'balls' if one.metric is None else 'ellipses'} in R^{size}"
+        if size == 1:
+            name = "intervals" if one.shape == "ball" else "half-lines"
+        counted[name] += len(one.rows.weight)
+    return ", ".join(f"{m} {name}" for name, m in counted.items())

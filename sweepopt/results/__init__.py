@@ -11,6 +11,5 @@ from sweepopt.results.dataset import (
     solver_name,
     write_dataset,
 )
-from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound, require_bound
-from sweepopt.results.solution import Pass, Solution
+from sweepopt.results.solution import Energy, Pass, Solution

@@ -28,7 +28,6 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.study.problems import Source, from_coarser, open_source
 
-THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
 TOL = 1e-8  # of the fine run's programs: a hundredth of the default of a study

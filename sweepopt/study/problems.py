@@ -67,7 +67,6 @@ def construct(room: Any, entry: dict[str, Any], *given: Any) -> Any:
 
 
 PROBLEMS = {name: Problem(name, **data) for name, data in read_toml(FILE).items()}
-BLOCK = PROBLEMS["block"]
 
 
 def problem(name: str) -> Problem:

@@ -27,7 +27,7 @@ from sweepopt.checks import at_path, choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
-from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
+from sweepopt.study.cell import Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES, each, option
 from sweepopt.study.problems import Source, find_source
 from sweepopt.velocity import solvers
@@ -285,8 +285,8 @@ def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
 
 
 def _solver(name: str, value: Any) -> Any:
-    through_cvxpy = str(value).startswith(THROUGH_CVXPY)
-    names = "auto", *solvers.REGISTRY, value if through_cvxpy else f"{THROUGH_CVXPY}NAME"
+    through_cvxpy = str(value).startswith("cvxpy:")
+    names = "auto", *solvers.REGISTRY, value if through_cvxpy else "cvxpy:NAME"
     return choice(name, value, names)
 
 
