@@ -351,6 +351,10 @@ PLANE = {
     "effects": {"viscosity": {"eta": 1.0}},
 }
 
+HARD = {"elasticity": {"E": 3.0, "nu": 0.3}, "plasticity": {"sigma_y": 1.0, "Hi": 30.0}}
+LOOSE, RUBS = {"domain.clamped": "bottom"}, {"on": "top", "g": 0.1}
+YIELDING = PLANE | {"effects": PLANE["effects"] | HARD}
+
 
 def test_a_run_of_another_scene_is_no_start(tmp_path):
     effects = {"viscosity": {"eta": 1.0}, "maxwell": [BRANCH["effects.maxwell"]]}
@@ -367,7 +371,17 @@ def test_a_run_of_another_scene_is_no_start(tmp_path):
                 (SOLID, {}, r"40 unknowns of u, maxwell, the scene 54 of u"),
             ],
         ),
-        (PLANE, {}, [(FLAT, {}, r"24 unknowns of u, the scene 12 of u")]),
+        (
+            PLANE,
+            {},
+            [
+                (FLAT, {}, r"24 unknowns of u, the scene 12 of u"),
+                (PLANE, {"domain.mesh.sizes": [2.0, 2.0]}, "another mesh"),
+            ],
+        ),
+        # unknowns of the top are along y and x there, all other numbers are the same
+        (PLANE, LOOSE, [(PLANE, LOOSE | {"effects.friction": RUBS}, "held or turned")]),
+        (YIELDING, {}, [(YIELDING, {"effects.plasticity.Hi": 1.0}, "isotropic hardening")]),
     ):
         scene = read_scene(source, changes=changes)
         run = scene.solve(t_end=1.0, steps=2, save=tmp_path / "run.nc")

@@ -443,13 +443,14 @@ def build(
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size - space.dim)
+    digest = space.digest(*[one.slopes for one in yields if one.slopes is not None])
     if isinstance(u0, Initial):
         with at_path("initial."):
-            u0 = u0.state(space, fields, size)
+            u0 = u0.state(space, fields, size, digest)
     A = sp.csc_array((size, size)) if A is None else A
     with _blaming(effects, parts):
         problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
-    problem.unknowns_digest, problem.moved = space.digest, bool(lifts)
+    problem.unknowns_digest, problem.moved = digest, bool(lifts)
     contact = merged([one.contact for one in yields if one.contact is not None])
     terms = {
         "no elasticity: B is not formed": B is not None,

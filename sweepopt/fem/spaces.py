@@ -227,13 +227,16 @@ class Discretisation(Brief):
         other.__dict__.update(fields)
         return other
 
-    @property
-    def digest(self) -> str:
-        """A checksum of the kind, the unknowns, and the nodes to 1e-9 of the body's size."""
-        places = np.round(self.points / np.ptp(self.points), 9) + 0.0  # one zero
-        turned = np.round(self.frame.T.data, 9)
-        parts = self.kind.encode(), places.tobytes(), self.free.tobytes(), turned.tobytes()
-        return hashlib.sha256(b" ".join(parts)).hexdigest()
+    def digest(self, *internal: Array) -> str:
+        """A checksum of the kind, cells and unknowns, and of the nodes to 1e-9 of the body's size.
+
+        `internal` is what internal unknowns are measured in.
+        """
+        size, cells = np.ptp(self.points), np.asarray(self.mesh.t, dtype=np.int64)
+        places = np.round(self.points / size, 9) + 0.0  # one zero
+        directions = np.round(self.frame.basis, 9) + 0.0
+        parts = [part.tobytes() for part in (cells, places, self.free, directions, *internal)]
+        return hashlib.sha256(b" ".join([f"{self.kind} {size:.9g}".encode(), *parts])).hexdigest()
 
     def loose_point(self, M: Any) -> str | None:
         """A point of a piece of the body that a matrix of the unknowns does not hold, if any.
