@@ -442,7 +442,7 @@ def build(
     _check_lifts(space, effects, parts)
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
-    force = _force(loads, space.dim, size - space.dim)
+    force = _force(loads, space.dim, size)
     digest = space.digest(*[one.slopes for one in yields if one.slopes is not None])
     if isinstance(u0, Initial):
         with at_path("initial."):
@@ -682,23 +682,23 @@ class _Load(NamedTuple):
     """``sum_k phi_k(t) f_k(t)``, with the breakpoints of those phi_k that know them."""
 
     terms: Sequence[tuple[Any, Any]]
+    of_body: int
     dim: int
-    internal: int
 
     def __call__(self, t: float) -> Array:
         name, terms = f"a function in loads, at t = {t:g},", self.terms
-        f = sum(phi(t) * vector(name, f(t) if callable(f) else f, self.dim) for phi, f in terms)
-        return np.pad(f, (0, self.internal))
+        f = sum(phi(t) * vector(name, f(t) if callable(f) else f, self.of_body) for phi, f in terms)
+        return np.pad(f, (0, self.dim - self.of_body))
 
     def breakpoints(self, a: float, b: float) -> Array:
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
-def _force(terms: Sequence[Any], dim: int, internal: int) -> Any:
+def _force(terms: Sequence[Any], of_body: int, dim: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
     if any(callable(f) for _, f in terms):
-        return _Load(terms, dim, internal)
-    padded = [(phi, np.pad(vector("loads", f, dim), (0, internal))) for phi, f in terms]
+        return _Load(terms, of_body, dim)
+    padded = [(phi, np.pad(vector("loads", f, of_body), (0, dim - of_body))) for phi, f in terms]
     return Separable(padded) if terms else None
 
 
