@@ -494,7 +494,8 @@ def _with_effects(
             )
         if space.components > 1 and hasattr(one, "turned"):
             names = boundary_names(f"{label}.turned", one.turned)
-            turned += [name for name in names if name in (space.mesh.boundaries or {})]
+            if set(names) <= set(space.mesh.boundaries or {}):
+                turned.append(names)
     if turned != list(space.turned):
         space = space.with_unknowns(turned=tuple(dict.fromkeys(turned)))
     space = copy(space)

@@ -79,9 +79,9 @@ class Discretisation(Brief):
 
     Attributes
     ----------
-    turned : sequence of str
+    turned : sequence of tuple of str
         Boundaries where the unknowns of a node are the components along its normal and its
-        tangents; scenes turn those with friction.
+        tangents: scenes turn those with friction, which have one normal for all names of an effect.
     dim : int
         Number of unknowns.
     components : int
@@ -115,7 +115,7 @@ class Discretisation(Brief):
     refinements: int = 0
     kind: str = "antiplane"
     held: Mapping[str, str] = field(default_factory=dict)
-    turned: Sequence[str] = field(default=(), init=False)
+    turned: Sequence[tuple[str, ...]] = field(default=(), init=False)
     start = 0.0  # of the scene that is built on it: when functions of time may be called
     effects = tuple[Any, ...]()  # all of that scene
 
