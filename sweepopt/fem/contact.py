@@ -361,30 +361,23 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     along, names, arc = _nodes_of(body, place)
     first = np.sort(np.unique(along, return_index=True)[1])
     node = along[first]
-    tangents = _tangents(body, node, law.on if boundary else ())
-    left, lengths, _ = np.linalg.svd(tangents)
-    sizes, rubs = (lengths > PARALLEL).sum(axis=1), tangents.any(axis=2)
+    unknown, rows, tangents = _slipping(body, node, law.on if boundary else ())
+    sizes = rows.any(axis=2).sum(axis=1)
     if not sizes.any():
         raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
-    alone = (rubs.sum(axis=1) == sizes)[:, None]  # unknowns, not combinations of them
-    unknown = np.searchsorted(body.free, body.nodes.T[node])
-    unknown[~(rubs & (alone | (np.arange(body.components) > 0)))] = -1
-    chosen = np.eye(body.components)[np.argsort(~rubs, axis=1, kind="stable")]
-    turned = np.where(alone[..., None], chosen, left.transpose(0, 2, 1))
     keep = (sizes > 0) & (weight[node] > 0.0) & (by_formula | (threshold[node] > 0.0))
     yields = []
     for block in np.unique(sizes[keep]).tolist():
         mine = keep & (sizes == block)
-        k, at, rows = node[mine], first[mine], turned[mine, :block]
+        k, at, some = node[mine], first[mine], rows[mine, :block]
         bound = threshold[k] / weight[k]
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
         contact = Contact(
             unknown[mine], k, body.points[k], names[at], arc[at], parts[k], at_start[k] / weight[k]
         )
-        metric, of_slip = (_metric(body, rows @ tangents[mine], axes) for axes in (law.axes, None))
-        E = _at_nodes(body, k, rows)
-        blocks = Rows(E, block, weight[k], "trace" if boundary else "nodes")
+        metric, of_slip = (_metric(body, some @ tangents[mine], axes) for axes in (law.axes, None))
+        blocks = Rows(_at_nodes(body, k, some), block, weight[k], "trace" if boundary else "nodes")
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
@@ -422,6 +415,26 @@ def _parts(body: Discretisation, place: Place) -> sp.csr_array:
     columns = rows if body.lumped else columns  # a node is its own facet, and all of its cell
     entries = basis.dx.ravel(), (rows.ravel(), columns.ravel())
     return sp.csr_array(entries, shape=(body.scalar.N, mesh.nfacets + mesh.nelements))
+
+
+def _slipping(
+    body: Discretisation, nodes: Indices, names: Sequence[str]
+) -> tuple[Indices, Array, Array]:
+    """What slips at nodes: unknowns for reports, -1 for others, rows of v, and tangents.
+
+    These are the tangential parts of the directions of a node that are not held, and rows are
+    directions alone where as many have such parts as the tangent plane has dimensions, else
+    combinations. Rows of zeros follow.
+    """
+    tangents = _tangents(body, nodes, names)
+    left, lengths, _ = np.linalg.svd(tangents)
+    sizes, rubs = (lengths > PARALLEL).sum(axis=1, keepdims=True), tangents.any(axis=2)
+    alone, slot = rubs.sum(axis=1, keepdims=True) == sizes, np.arange(body.components)
+    chosen = np.eye(body.components)[np.argsort(~rubs, axis=1, kind="stable")]
+    rows = np.where(alone[..., None], chosen, left.transpose(0, 2, 1))
+    unknown = np.searchsorted(body.free, body.nodes.T[nodes])
+    told = rubs & (alone | (slot > 0))
+    return np.where(told, unknown, -1), rows * (slot < sizes)[..., None], tangents
 
 
 def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Array:

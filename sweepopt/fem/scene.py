@@ -451,7 +451,6 @@ def build(
     with _blaming(effects, parts):
         problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     problem.unknowns_digest, problem.moved = digest, bool(lifts)
-    contact = merged([one.contact for one in yields if one.contact is not None])
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
@@ -460,7 +459,7 @@ def build(
     return Scene(
         problem=problem,
         discretisation=space,
-        contact=contact,
+        contact=merged([one.contact for one in yields if one.contact is not None]),
         effects=tuple(effects.values()),
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
