@@ -463,6 +463,7 @@ BAD_FILES = [
     (corrupt(("4.1 0 8", "9.9 0 8")), "is damaged .*Need mesh format in"),
     (corrupt(("0 1 2\n", "0 one 2\n")), "is damaged .*could not be read"),
     (corrupt(("0 1 2\n", "0 nan 2\n")), r"nodes\[\d, 1\] is nan; give finite coordinates"),
+    (corrupt((" 2 10 11 0", " 0 0")), "has elements in no physical group"),
     (corrupt(("0 1 2\n", "0 1 3\n")), "is not flat"),
     (corrupt(("0 1 2\n", "0 0 2\n")), "triangle 1 near .* has no area"),
     (corrupt(("0 1 2\n", "0 1e-11 2\n")), "triangle 1 near .* has no area"),  # rounding
