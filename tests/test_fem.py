@@ -414,6 +414,7 @@ def test_an_abaqus_file_has_its_sets_or_is_refused(tmp_path):
         (NODES + BLOCKS + "*INSTANCE\n1.0, 0.0\n", "a keyword makes or moves"),
         (NODES + BLOCKS + "*NMAP\n", "a keyword makes or moves"),
         (NODES.replace("*NODE", "*NODE, SYSTEM=C") + BLOCKS, "a keyword makes or moves"),
+        (NODES + BLOCKS + "*ELEMENT, TYPE=CPS3, INPUT=more.inp\n", "a keyword makes or moves"),
         (NODES + BLOCKS.replace(", ELSET=bottom", ""), "others without one"),
         (NODES + SETS + BLOCKS, "elements behind sets"),
         (NODES + BLOCKS + SETS + "*Nset, nset=LEFT\n2\n", "in several places"),

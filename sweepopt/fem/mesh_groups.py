@@ -15,8 +15,8 @@ import numpy as np
 
 from sweepopt.errors import InputError
 
-MOVED = {"ELGEN", "ELCOPY", "NGEN", "NCOPY", "NFILL", "NMAP", "INCLUDE", "SYSTEM"}
-"""Keywords of Abaqus that make or move nodes and elements."""
+MOVED = {"ELGEN", "ELCOPY", "NGEN", "NCOPY", "NFILL", "NMAP", "INCLUDE", "INPUT", "SYSTEM"}
+"""Keywords of Abaqus, and what is given with them, that make or move nodes and elements."""
 
 
 def read_abaqus(content: bytes) -> meshio.Mesh:
