@@ -394,7 +394,7 @@ def test_a_run_of_another_scene_is_no_start(tmp_path):
 
 
 def test_a_start_is_a_formula_of_each_component(tmp_path):
-    parts = ["0.01 * y", 0.0, "0.02 * x * y"]
+    parts = [{"along": "y", "at": [0, 1], "values": [0, 0.01]}, 0.0, "0.02 * x * y"]
     scene = read_scene(SOLID, changes={"initial": {"u": parts}})
     space = scene.discretisation
     x, y, _ = space.points.T
@@ -402,5 +402,5 @@ def test_a_start_is_a_formula_of_each_component(tmp_path):
     held = space.frame.held > 0
     start = space.expand(scene.problem.u0)
     assert np.allclose(start[~held], expected[~held], atol=1e-16)
-    by_hand = body(space, scene.effects, u0=Initial(parts))
+    by_hand = body(space, scene.effects, u0=Initial(["0.01 * y", *parts[1:]]))
     assert np.array_equal(by_hand.problem.u0, scene.problem.u0)
