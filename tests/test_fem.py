@@ -557,6 +557,7 @@ def interpolated(function):
 RING = annulus(2)
 INSIDE = square(2).with_boundaries({"cut": lambda x: x[0] == 0.5}, boundaries_only=False)
 HALF = square(2).with_subdomains({"a": [0, 1]})
+NOWHERE = square(2).with_boundaries({"gap": np.arange(0)}).with_subdomains({"hole": np.arange(0)})
 
 
 def test_a_boundary_with_infinite_friction_is_glued():

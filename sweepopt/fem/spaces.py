@@ -327,6 +327,7 @@ class Discretisation(Brief):
                 raise InputError(
                     f"{what}: {default}{name!r} is not a boundary of the mesh; there are: {known}"
                 )
+            _require_some(what, name, boundaries[name])
             if np.any(self.mesh.f2t[1, boundaries[name]] >= 0):
                 raise InputError(f"{what}: {name!r} lies inside the body; name a boundary of it")
         groups = [np.asarray(boundaries[name], dtype=np.int64) for name in names]
@@ -441,6 +442,8 @@ class Discretisation(Brief):
                 f"{what}: {both[0]!r} is a boundary and a subdomain; give one another name"
             )
         if on and all(name in inside for name in on):
+            for name in on:
+                _require_some(what, name, inside[name])
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
         elif on and (tuple(on) != (BODY,) or BODY in boundaries):
@@ -514,6 +517,12 @@ class Place(NamedTuple):
     def vector(self, form: Callable[..., Any]) -> Array:
         """Integrals of form(v, w) for all degrees of freedom."""
         return np.asarray(skfem.LinearForm(form).assemble(self.basis))
+
+
+def _require_some(what: str, name: str, members: Any) -> None:
+    """Refuse a name of no part, as a condition that no point meets gives."""
+    if not len(members):
+        raise InputError(f"{what}: {name!r} is empty in this mesh; name a part that is there")
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:
