@@ -460,10 +460,10 @@ def test_a_maxwell_branch_relaxes_as_the_standard_linear_solid():
     k, k1, tau, F = 2.0, 3.0, 0.5, 1.0
     bar = Discretisation(grid([1.0], [4]), "left")
     parts = [Viscosity(1e-6), Elasticity(k), MaxwellBranch(tau, kappa=k1)]
-    pull = Traction("right", so.Constant(), F)
     theta = tau * (k + k1) / k
     errors = []
-    for steps in (20, 40, 80, 160):
+    for steps, f2 in ((20, F), (40, F), (80, F), (160, lambda x, t: F + 0 * t)):
+        pull = Traction("right", so.Constant(), f2)
         u = body(bar, [*parts, pull]).solve(t_end=2.0, steps=steps, scheme="sdirk2").u[-1]
         exact = F / k * (1 - k1 / (k + k1) * np.exp(-2.0 / theta))
         errors.append(abs(bar.expand(u[: bar.dim]).max() - exact))
@@ -571,14 +571,29 @@ def test_no_traction_is_told_where_an_edge_and_the_face_of_a_sheet_rub():
     assert np.isfinite(slip.use).all()
 
 
-def test_friction_on_two_free_walls_that_meet_a_held_one_is_refused_at_the_corner():
-    rub = [Friction("left", 0.05), Friction("front", 0.15)]
-    with pytest.raises(so.InputError, match="on: it meets another boundary with friction on a hel"):
-        body(space("solid", held={"bottom": "y"}), [*MATERIAL, Dashpot("right", 1.0), *rub])
-    held = space("solid", held={"bottom": "y", "left": "x"})
-    body(held, [*MATERIAL, Dashpot("right", 1.0), *rub])
-    almost_free = Friction("left", 0.05, axes=[1.0, 1.0, 1e-7])  # along z, but no corner
-    body(held, [*MATERIAL, Dashpot("right", 1.0), almost_free])
+@pytest.mark.parametrize("points", [None, ["x + 0.3 * y", "y + 0.2 * x + 0.1 * z", "z + 0.3 * x"]])
+@pytest.mark.parametrize("held", [{}, {"front": "n"}])
+def test_each_friction_has_its_own_tangents_where_walls_meet(held, points):
+    """They shared those of a mean normal, also beside a held wall: 15 % of the velocity."""
+    axes, mesh = [1.0, 0.4, 2.0], grid([2.0, 1.0, 1.0], [2, 2, 1], points)
+    block = Discretisation(mesh, "back", kind="solid", held=held)
+    rub = [Friction("front", 0.1), Friction("right", 0.2), Friction("top", 0.3, axes=axes)]
+    scene = body(block, [*MATERIAL, *rub])
+    u = np.random.default_rng(1).standard_normal(scene.problem.dim)
+    v, seen = scene.discretisation.expand(u), dict.fromkeys(("front", "right", "top"), 0)
+    for one in scene.yields:
+        law = scene.effects[int(one.label[len("effects[") : -2])]
+        x, y, z = mesh.p[:, mesh.facets[:, mesh.boundaries[law.on[0]][0]]].T
+        normal = np.cross(y - x, z - x) / np.linalg.norm(np.cross(y - x, z - x))
+        tangential = v[one.contact.node] @ (np.eye(3) - np.outer(normal, normal))
+        expected = np.linalg.norm(tangential * (1.0 if law.axes is None else axes), axis=1)
+        rows = (one.euclidean_rows @ u).reshape(-1, one.rows.block)
+        np.testing.assert_allclose(np.linalg.norm(rows, axis=1), expected, rtol=1e-12)
+        seen[law.on[0]] += len(expected)
+    assert seen == {"front": 9, "right": 3, "top": 3}
+    pull = Traction("left", so.Constant(), [3.0, 2.0, -1.0])
+    run = body(block, [*MATERIAL, *rub, pull]).solve(t_end=1.0, steps=1)
+    assert run.stats["relative"].max() <= 1e-6
 
 
 def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():

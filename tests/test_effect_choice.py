@@ -351,6 +351,10 @@ PLANE = {
     "effects": {"viscosity": {"eta": 1.0}},
 }
 
+HARD = {"elasticity": {"E": 3.0, "nu": 0.3}, "plasticity": {"sigma_y": 1.0, "Hi": 30.0}}
+LOOSE, RUBS = {"domain.clamped": "bottom"}, {"on": "top", "g": 0.1}
+YIELDING = PLANE | {"effects": PLANE["effects"] | HARD}
+
 
 def test_a_run_of_another_scene_is_no_start(tmp_path):
     effects = {"viscosity": {"eta": 1.0}, "maxwell": [BRANCH["effects.maxwell"]]}
@@ -367,7 +371,17 @@ def test_a_run_of_another_scene_is_no_start(tmp_path):
                 (SOLID, {}, r"40 unknowns of u, maxwell, the scene 54 of u"),
             ],
         ),
-        (PLANE, {}, [(FLAT, {}, r"24 unknowns of u, the scene 12 of u")]),
+        (
+            PLANE,
+            {},
+            [
+                (FLAT, {}, r"24 unknowns of u, the scene 12 of u"),
+                (PLANE, {"domain.mesh.sizes": [2.0, 2.0]}, "another mesh"),
+            ],
+        ),
+        # unknowns of the top are along y and x there, all other numbers are the same
+        (PLANE, LOOSE, [(PLANE, LOOSE | {"effects.friction": RUBS}, "held or turned")]),
+        (YIELDING, {}, [(YIELDING, {"effects.plasticity.Hi": 1.0}, "isotropic hardening")]),
     ):
         scene = read_scene(source, changes=changes)
         run = scene.solve(t_end=1.0, steps=2, save=tmp_path / "run.nc")
@@ -380,7 +394,7 @@ def test_a_run_of_another_scene_is_no_start(tmp_path):
 
 
 def test_a_start_is_a_formula_of_each_component(tmp_path):
-    parts = ["0.01 * y", 0.0, "0.02 * x * y"]
+    parts = [{"along": "y", "at": [0, 1], "values": [0, 0.01]}, 0.0, "0.02 * x * y"]
     scene = read_scene(SOLID, changes={"initial": {"u": parts}})
     space = scene.discretisation
     x, y, _ = space.points.T
@@ -388,5 +402,5 @@ def test_a_start_is_a_formula_of_each_component(tmp_path):
     held = space.frame.held > 0
     start = space.expand(scene.problem.u0)
     assert np.allclose(start[~held], expected[~held], atol=1e-16)
-    by_hand = body(space, scene.effects, u0=Initial(parts))
+    by_hand = body(space, scene.effects, u0=Initial(["0.01 * y", *parts[1:]]))
     assert np.array_equal(by_hand.problem.u0, scene.problem.u0)

@@ -371,57 +371,60 @@ def corrupt(*changes, name=SMALL):
 
 
 NODES = "*NODE\n1, 0, 0\n2, 1, 0\n3, 2, 0\n4, 0, 1\n** above\n5, 1, 1\n6, 2, 1\n"
-BLOCKS = """*ELEMENT, TYPE=T3D2
+BLOCKS = """*ELEMENT, TYPE=T3D2, ELSET=bottom
 1, 1, 2
 2, 2, 3
-*ELEMENT, TYPE=T3D2, ELSET=top
+*ELEMENT, TYPE=T3D2, ELSET=roof
 3, 4, 5
-*ELEMENT, TYPE=T3D2, ELSET=top
+** behind this comment meshio reads on
 4, 5, 6
-*ELEMENT, TYPE=CPS3, ELSET=core
+*ELEMENT, TYPE=CPS3, ELSET=left half
 5, 1, 2, 5
 6, 1,
 5, 4
-*ELEMENT, TYPE=cps3
+*ELEMENT, TYPE=CPS3, ELSET=right half
 7, 2, 3, 6
 8, 2, 6, 5
 """
-PARTS = """*ELSET, ELSET=bottom
-1
-*Elset,
-elset=BOTTOM, generate
-2, 2, 1
-*ELSET, ELSET=ends
-Top, bottom
+SETS = """*ELSET, ELSET=top, generate
+3, 4, 1
+*ELSET, ELSET=core
+5, 6
 *NSET, NSET=left
-1
-*NSET, NSET=left
-4
+1, 4
 *NSET, NSET=left and a corner
 1, 4, 6
 """
 
 
-def test_sets_of_an_abaqus_file_are_those_of_all_its_lines(tmp_path):
-    """meshio gave the name "top" to the bottom: the first elements have no set."""
+def test_an_abaqus_file_has_its_sets_or_is_refused(tmp_path):
+    """meshio gave the name "top" to the bottom where the first elements have no set."""
     path = tmp_path / "plate.INP"
-    path.write_text(NODES + BLOCKS + PARTS)
+    path.write_text(NODES + BLOCKS + SETS)
     mesh = read_mesh(path)
-    lines = {"bottom": 1, "top": 1, "left": 0, "ends": 1}
+    lines = {"bottom": 1, "roof": 1, "top": 1, "left": 0}
     assert set(mesh.boundaries) == set(lines)  # no set that holds a node beside its edges
     for name, k in lines.items():
         places = mesh.p[k, mesh.facets[:, mesh.boundaries[name]]]
-        assert set(places.ravel()) == ({0.0, 1.0} if name == "ends" else {float(name == "top")})
+        assert set(places.ravel()) == {float(name in ("top", "roof"))}
+    assert set(mesh.subdomains) == {"core", "left half", "right half"}
     assert mesh.p[0, mesh.t[:, mesh.subdomains["core"]]].max() == 1.0
-    for more in (
-        NODES,
-        "*ELEMENT, TYPE=CPS3\n8, 1, 2, 5\n",
-        "*INSTANCE\n1.0, 0.0\n",
-        "*ELGEN\n",
-        "*NMAP\n",
+    for text, fault in (
+        (NODES + BLOCKS + SETS + NODES, "several parts with nodes"),
+        (NODES + BLOCKS + "*INSTANCE\n1.0, 0.0\n", "a keyword makes or moves"),
+        (NODES + BLOCKS + "*NMAP\n", "a keyword makes or moves"),
+        (NODES.replace("*NODE", "*NODE, SYSTEM=C") + BLOCKS, "a keyword makes or moves"),
+        (NODES + BLOCKS + "*ELEMENT, TYPE=CPS3, INPUT=more.inp\n", "a keyword makes or moves"),
+        (NODES + BLOCKS.replace(", ELSET=bottom", ""), "others without one"),
+        (NODES + SETS + BLOCKS, "elements behind sets"),
+        (NODES + BLOCKS + SETS + "*Nset, nset=LEFT\n2\n", "in several places"),
+        (NODES + BLOCKS.replace("roof", "Bottom") + SETS, "in several places"),
+        (NODES + BLOCKS + SETS + "*ELSET, ELSET=ends\nbottom, top\n", "sets of sets"),
+        (NODES + BLOCKS + "*NSET, NSET=left,\nGENERATE\n1, 4, 3\n", "sets of sets"),
+        (NODES.replace("4, 0, 1", "4, , 1") + BLOCKS, "could not convert"),
     ):
-        path.write_text(NODES + BLOCKS + more)
-        with pytest.raises(InputError, match=r"two (nodes|elements) of one number|makes or moves"):
+        path.write_text(text)
+        with pytest.raises(InputError, match=fault):
             read_mesh(path)
 
 
@@ -461,6 +464,7 @@ BAD_FILES = [
     (corrupt(("4.1 0 8", "9.9 0 8")), "is damaged .*Need mesh format in"),
     (corrupt(("0 1 2\n", "0 one 2\n")), "is damaged .*could not be read"),
     (corrupt(("0 1 2\n", "0 nan 2\n")), r"nodes\[\d, 1\] is nan; give finite coordinates"),
+    (corrupt((" 2 10 11 0", " 0 0")), "has elements in no physical group"),
     (corrupt(("0 1 2\n", "0 1 3\n")), "is not flat"),
     (corrupt(("0 1 2\n", "0 0 2\n")), "triangle 1 near .* has no area"),
     (corrupt(("0 1 2\n", "0 1e-11 2\n")), "triangle 1 near .* has no area"),  # rounding
@@ -553,6 +557,7 @@ def interpolated(function):
 RING = annulus(2)
 INSIDE = square(2).with_boundaries({"cut": lambda x: x[0] == 0.5}, boundaries_only=False)
 HALF = square(2).with_subdomains({"a": [0, 1]})
+NOWHERE = square(2).with_boundaries({"gap": np.arange(0)}).with_subdomains({"hole": np.arange(0)})
 
 
 def test_a_boundary_with_infinite_friction_is_glued():

@@ -361,33 +361,39 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     along, names, arc = _nodes_of(body, place)
     first = np.sort(np.unique(along, return_index=True)[1])
     node = along[first]
-    unknown, directions = _slipping(body, node, law.on if boundary else ())
-    sizes = (unknown >= 0).sum(axis=1)
+    unknown, rows, tangents = _slipping(body, node, law.on if boundary else ())
+    sizes = rows.any(axis=2).sum(axis=1)
     if not sizes.any():
         raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
     keep = (sizes > 0) & (weight[node] > 0.0) & (by_formula | (threshold[node] > 0.0))
     yields = []
     for block in np.unique(sizes[keep]).tolist():
         mine = keep & (sizes == block)
-        k, at, some = node[mine], first[mine], unknown[mine]
-        columns = some[some >= 0]
+        k, at, some = node[mine], first[mine], rows[mine, :block]
         bound = threshold[k] / weight[k]
         if block > 1 and not np.isfinite(bound).all():
             raise InputError("g is inf where two components could slip; hold them instead")
         contact = Contact(
-            some, k, body.points[k], names[at], arc[at], parts[k], at_start[k] / weight[k]
+            unknown[mine], k, body.points[k], names[at], arc[at], parts[k], at_start[k] / weight[k]
         )
-        E = sp.eye_array(body.dim, format="csr")[columns]
-        rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
-        metric, of_slip = (
-            _metric(body, directions[mine][some >= 0], block, axes) for axes in (law.axes, None)
-        )
+        metric, of_slip = (_metric(body, some @ tangents[mine], axes) for axes in (law.axes, None))
+        blocks = Rows(_at_nodes(body, k, some), block, weight[k], "trace" if boundary else "nodes")
         g: Any = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
         histories = () if law.history is None else (law.history,)
-        yields.append(Yield(rows, g, metric, "ball", None, contact, law.slip, histories, of_slip))
+        yields.append(Yield(blocks, g, metric, "ball", None, contact, law.slip, histories, of_slip))
     return yields
+
+
+def _at_nodes(body: Discretisation, nodes: Indices, rows: Array) -> sp.csr_array:
+    """Rows of the unknowns from rows of the directions of nodes, shape (m, block, d)."""
+    dofs = np.broadcast_to(body.nodes.T[nodes, None], rows.shape)
+    starts = np.arange(0, rows.size + 1, body.components)
+    shape = len(starts) - 1, body.nodes.size
+    E = sp.csr_array((rows.ravel(), dofs.ravel(), starts), shape)[:, body.free]
+    E.eliminate_zeros()
+    return E
 
 
 def _thresholds(law: Friction, place: Place, size: int, t: float, phi: Any) -> Array:
@@ -412,38 +418,51 @@ def _parts(body: Discretisation, place: Place) -> sp.csr_array:
 
 
 def _slipping(
-    body: Discretisation, nodes: Indices, tangential: Sequence[str]
-) -> tuple[Indices, Array]:
-    """Unknowns that slip at nodes, -1 for others, and their directions.
+    body: Discretisation, nodes: Indices, names: Sequence[str]
+) -> tuple[Indices, Array, Array]:
+    """What slips at nodes: unknowns for reports, -1 for others, rows of v, and tangents.
 
-    At a corner that another boundary holds, the parts of these in the tangent plane; where none
-    does, the normal of a corner is that of all boundaries that are turned.
+    These are the tangential parts of the directions of a node that are not held, and rows are
+    directions alone where as many have such parts as the tangent plane has dimensions, else
+    combinations. Rows of zeros follow.
     """
-    held, slot = body.frame.held[nodes, None], np.arange(body.components)
-    unknown, directions = np.searchsorted(body.free, body.nodes.T[nodes]), body.frame.basis[nodes]
-    slips = slot >= held
-    if tangential and body.components > 1:
-        at, normals = normals_at(body, tangential)
+    tangents = _tangents(body, nodes, names)
+    left, lengths, _ = np.linalg.svd(tangents)
+    sizes, rubs = (lengths > PARALLEL).sum(axis=1, keepdims=True), tangents.any(axis=2)
+    alone, slot = rubs.sum(axis=1, keepdims=True) == sizes, np.arange(body.components)
+    chosen = np.eye(body.components)[np.argsort(~rubs, axis=1, kind="stable")]
+    rows = np.where(alone[..., None], chosen, left.transpose(0, 2, 1))
+    unknown = np.searchsorted(body.free, body.nodes.T[nodes])
+    told = rubs & (alone | (slot > 0))
+    return np.where(told, unknown, -1), rows * (slot < sizes)[..., None], tangents
+
+
+def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Array:
+    """Tangential parts of the directions of nodes on boundaries that are not held, shape (m, d, d).
+
+    The normal of the boundaries is held, or the first direction of a node, or close to it; else the
+    node is a corner, where all directions have parts in the tangent plane. Without names all are
+    tangential.
+    """
+    slot, tangents = np.arange(body.components), body.frame.basis[nodes]
+    rubs = slot >= body.frame.held[nodes, None]
+    if names and body.components > 1:
+        at, normals = normals_at(body, names)
         normal = normals[np.searchsorted(at, nodes), None]
-        along = (directions * normal).sum(axis=2)
-        slips &= np.where(held > 0, np.abs(along) < 1 - PARALLEL, slot > 0)
-        corner = (held > 0) & (np.abs(along) > SMOOTH)
-        directions = directions - (along * corner)[..., None] * normal
-    return np.where(slips, unknown, -1), directions
+        along = (tangents * normal).sum(axis=2)
+        others = rubs & (slot > 0)
+        corner = np.linalg.norm(along * others, axis=1, keepdims=True) > SMOOTH
+        tangents = tangents - (along * corner)[..., None] * normal
+        rubs = np.where(corner, rubs & (np.linalg.norm(tangents, axis=2) > PARALLEL), others)
+    return tangents * rubs[..., None]
 
 
-def _metric(body: Discretisation, directions: Array, block: int, axes: Any) -> Array | None:
-    """|diag(axes) v|^2 of velocities along directions, block by block; None if it is |v|^2."""
-    R = directions.reshape(-1, block, body.components)
-    if np.linalg.matrix_rank(R, rtol=PARALLEL).min() < block:
-        raise InputError(
-            "on: it meets another boundary with friction on a held one, and neither holds its "
-            "normal, so that a corner has no tangent; hold the normal of one of the two"
-        )
+def _metric(body: Discretisation, tangents: Array, axes: Any) -> Array | None:
+    """|diag(axes) v|^2 of velocities along tangents, block by block; None if it is |v|^2."""
     if axes is not None:
-        R = R * vector("axes", axes, body.components)
-    metric = R @ R.transpose(0, 2, 1)
-    return None if np.allclose(metric, np.eye(block), rtol=0.0, atol=PARALLEL) else metric
+        tangents = tangents * vector("axes", axes, body.components)
+    metric = tangents @ tangents.transpose(0, 2, 1)
+    return None if np.allclose(metric, np.eye(metric.shape[1]), rtol=0.0, atol=PARALLEL) else metric
 
 
 def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
@@ -527,7 +546,7 @@ class Slip:
         Exactly 0.0 where a node sticks, and where it is rounding beside the largest of the run.
     traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity; nan where a part of A u' + B u - f is another bounded force
-        whose share is not known: of a yield stress, one-way motion, friction of other components;
+        whose share is not known: of a yield stress, one-way motion, friction along other tangents;
         and, as the bound, at nodes that rub along an edge of a sheet and over its face.
     bound : ndarray, shape (n, m)
         g_k at these times and states, which a law of the slip or a bound that moves changes.
@@ -617,7 +636,9 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     velocity = contact.of(solution.velocity) * along
     speed = np.abs(signed_lengths(velocity))
     velocity[speed <= REST * speed.max()] = 0.0
-    laws = contact.of(np.bincount(np.concatenate([one.rows.E.indices for one in scene.yields])))
+    every = sp.vstack([one.rows.E for one in scene.yields], "csr")
+    entries = np.diff(every.indptr)  # more than one of a row that combines unknowns
+    laws = contact.of(np.bincount(every.indices, np.repeat(entries, entries)))
     mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
     facets = scene.discretisation.mesh.nfacets
     of_facets, of_cells = contact.parts[:, :facets], contact.parts[:, facets:]

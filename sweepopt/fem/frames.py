@@ -2,7 +2,7 @@
 
 At most nodes they are x, y and z. Where components are held, or unknowns are turned, Gram and
 Schmidt's method makes an orthonormal basis of the node from the directions that are held, the
-normal, and the axes, in this order; `T` has these bases as blocks.
+normals, and the axes, in this order; `T` has these bases as blocks.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def frame_of(body: Discretisation) -> Frame:
     for _, nodes, directions in held_directions(body):
         add(nodes, directions)
     fixed = count.copy()
-    if body.turned and d > 1:
-        nodes, normals = normals_at(body, body.turned)
+    for names in body.turned if d > 1 else ():
+        nodes, normals = normals_at(body, names)
         add(nodes, normals)
         normal[nodes] = count[nodes] > fixed[nodes]
     for axis in np.eye(d):

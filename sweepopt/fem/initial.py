@@ -53,13 +53,17 @@ class Initial(Record):
         if self.u is not None and self.run is not None:
             raise InputError("run: give u or run, not both")
 
-    def state(self, space: Discretisation, fields: Mapping[str, slice], size: int) -> Array:
+    def state(
+        self, space: Discretisation, fields: Mapping[str, slice], size: int, digest: str
+    ) -> Array:
         """u0 on all unknowns, shape (size,).
 
         Parameters
         ----------
         fields : mapping of str to slice
             What the unknowns are: "u", and internal ones.
+        digest : str
+            Of the unknowns of the scene.
         """
         u0 = np.zeros(size)
         if self.u is not None:
@@ -79,10 +83,10 @@ class Initial(Record):
                 f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "
                 f"{size} of {_fields(labels)}; take a run of the same body and effects"
             )
-        if run.attrs.get("unknowns_digest", "") not in ("", space.digest):
+        if run.attrs.get("unknowns_digest", "") not in ("", digest):
             raise InputError(
-                f"run: {path} is of another mesh, or has other components held or turned, as "
-                "friction turns them; take a run of this body"
+                f"run: {path} is of another mesh, has other components held or turned, as friction "
+                "turns them, or other moduli beside isotropic hardening; take a run of this body"
             )
         return last
 

@@ -183,6 +183,8 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
     except (Exception, SystemExit) as error:  # meshio has no list of what it raises
         fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
         what = f"mesh {path.name:.100}: is damaged or no mesh that meshio can read, such as .msh"
+        if "gmsh:physical" in fault:
+            what = f"mesh {path.name:.100}: has elements in no physical group (Mesh.SaveAll = 1)"
         raise InputError(f"{what} ({fault:.200})") from None
 
 

@@ -1,66 +1,64 @@
-"""Sets and groups of mesh files that meshio reads in part, or gives to other elements.
+"""Sets and groups of mesh files that meshio would lose, or give to other elements.
 
-Of an Abaqus file it keeps the last part of a set that has several, the first name of a line of
-names, and gives the sets of *ELEMENT to wrong blocks if one has none. Of Gmsh 4 it loses groups of
-an entity that are not its first and have no name, and entities that a group takes turned round.
+Abaqus files of which it reads sets in part are refused. Of Gmsh 4 it loses groups of an entity that
+are not its first and have no name, and entities that a group takes turned round: here they are read
+from the file.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from itertools import chain
 
 import meshio
 import numpy as np
 
 from sweepopt.errors import InputError
 
-MOVED = {"ELGEN", "ELCOPY", "NGEN", "NCOPY", "NFILL", "NMAP", "INCLUDE", "SYSTEM"}
-"""Keywords of Abaqus that make or move nodes and elements."""
-SETS = {"NODE": "NSET", "ELEMENT": "ELSET", "NSET": "NSET", "ELSET": "ELSET"}
-"""Which sets the keywords have, or are."""
-
-Section = tuple[str, dict[str, str], list[list[str]]]
+MOVED = {"ELGEN", "ELCOPY", "NGEN", "NCOPY", "NFILL", "NMAP", "INCLUDE", "INPUT", "SYSTEM"}
+"""Keywords of Abaqus, and what is given with them, that make or move nodes and elements."""
 
 
 def read_abaqus(content: bytes) -> meshio.Mesh:
-    """Nodes and elements of an Abaqus file as meshio reads them, with all parts of its sets."""
-    sections = list(_sections(content.decode(errors="replace")))
-    for keyword, given, rows in sections:
-        if keyword in MOVED or "SYSTEM" in given or (keyword == "INSTANCE" and rows):
-            raise InputError(f"has *{keyword}, which makes or moves nodes; save it without")
-    nodes = [row for keyword, _, rows in sections if keyword == "NODE" for row in rows]
-    lines = ["*NODE", *map(",".join, nodes)]
-    for keyword, given, rows in sections:
-        if keyword == "ELEMENT":
-            lines += [f"*ELEMENT, TYPE={given['TYPE'].upper()}", *map(",".join, rows)]
-    raw = meshio.read(io.StringIO("\n".join(lines)), "abaqus")
-    counts = iter([len(block.data) for block in raw.cells])
-    blocks, sets = [], dict[str, dict[str, list[int]]](NSET={}, ELSET={})
-    names = dict[tuple[str, str], str]()  # as they are first written: capitals are the same
-    for keyword, given, rows in sections:
-        if (kind := SETS.get(keyword)) is None:
-            continue
-        members = _members(keyword, "GENERATE" in given, rows, sets[kind])
-        if keyword == "ELEMENT":  # after each number are those of its nodes
-            members = members[:: len(members) // next(counts)]
-            blocks.append(members)
-        if kind in given:
-            names.setdefault((kind, given[kind].upper()), given[kind])
-            sets[kind].setdefault(given[kind].upper(), []).extend(members)
-    numbers = [int(row[0]) for row in nodes]
-    for what, every in (("nodes", numbers), ("elements", list(chain(*blocks)))):
-        if len(set(every)) < len(every):
-            raise InputError(f"has two {what} of one number, as files of several parts do")
-    raw.point_sets = {
-        names["NSET", key]: _positions(own, numbers) for key, own in sets["NSET"].items()
+    """The mesh of an Abaqus file whose sets meshio reads as they are."""
+    lines = content.decode(errors="replace").splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("**"))  # they end its sections
+    sections = [_section(part) for part in text.split("\n*")]
+    keywords = [keyword for keyword, _, _ in sections]
+    sets = [one for one in sections if one[0] in ("NSET", "ELSET")]
+    blocks = [given.get("ELSET") for keyword, given, _ in sections if keyword == "ELEMENT"]
+    names = [(keyword, given.get(keyword)) for keyword, given, _ in sets]
+    names += [("ELSET", name) for name in blocks if name]
+    faults = {
+        "nodes or elements that a keyword makes or moves": any(
+            {keyword, *given} & MOVED or (keyword == "INSTANCE" and rows)
+            for keyword, given, rows in sections
+        ),
+        "several parts with nodes": keywords.count("NODE") > 1,
+        "elements with a set and others without one": None in blocks and any(blocks),
+        "elements behind sets": "ELSET" in keywords[: -1 - keywords[::-1].index("ELEMENT")],
+        "parts of a set in several places": len(set(names)) < len(names),
+        "sets of sets": not all(row[:1].isdecimal() for _, _, rows in sets for row in rows),
     }
-    raw.cell_sets = {
-        names["ELSET", key]: [_positions(own, block) for block in blocks]
-        for key, own in sets["ELSET"].items()
-    }
-    return raw
+    for fault, found in faults.items():
+        if found:
+            raise InputError(
+                f"has {fault}, which would be mixed up; write one part, and behind all elements "
+                "each set once, as numbers"
+            )
+    return meshio.read(io.StringIO(text), "abaqus")
+
+
+def _section(text: str) -> tuple[str, dict[str, str], list[str]]:
+    """A keyword in capitals, what is given in its line, and the lines of data behind it."""
+    head, *rows = text.strip("*").splitlines() or [""]
+    keyword, *given = (word.replace(" ", "") for word in head.upper().split(","))
+    pairs = (word.partition("=") for word in given)
+    return (
+        keyword,
+        {name: value for name, _, value in pairs},
+        [row.strip() for row in rows if row.strip()],
+    )
 
 
 def group_entities(raw: meshio.Mesh, content: bytes) -> None:
@@ -104,39 +102,3 @@ def _physical(content: bytes) -> Iterator[tuple[tuple[int, int], list[int]]]:
             yield (dimension, entity), take("i4", *take(size))
             if dimension:
                 take("i4", *take(size))
-
-
-def _positions(members: list[int], numbers: list[int]) -> np.ndarray:
-    return np.flatnonzero(np.isin(numbers, members))
-
-
-def _sections(text: str) -> Iterator[Section]:
-    """Each keyword with what is given in its line, and the lines of data behind it."""
-    lines = ["", *(line for line in text.splitlines() if not line.startswith("**"))]
-    for section in "\n".join(lines).split("\n*")[1:]:
-        head, *lines = section.splitlines()
-        while head.rstrip().endswith(",") and "=" in "".join(lines[:1]):
-            head += lines.pop(0)
-        keyword, *given = (part.strip() for part in head.split(","))
-        ends = (line.strip().rstrip(",") for line in lines)
-        rows = [[part.strip() for part in line.split(",")] for line in ends if line]
-        pairs = (part.partition("=") for part in given)
-        yield (
-            keyword.upper(),
-            {name.strip().upper(): value.strip() for name, _, value in pairs},
-            rows,
-        )
-
-
-def _members(
-    keyword: str, steps: bool, rows: list[list[str]], sets: dict[str, list[int]]
-) -> list[int]:
-    """Numbers of the nodes or elements in the lines of a keyword."""
-    if keyword == "NODE":
-        return [int(row[0]) for row in rows]
-    if steps:
-        bounds = ([*map(int, row), 1][:3] for row in rows)
-        return [k for first, last, step in bounds for k in range(first, last + 1, step)]
-    return [
-        k for one in chain(*rows) for k in ([int(one)] if one.isdecimal() else sets[one.upper()])
-    ]

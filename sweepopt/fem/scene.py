@@ -444,15 +444,15 @@ def build(
     _check_lifts(space, effects, parts)
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
-    force = _force(loads, space.dim, size - space.dim)
+    force = _force(loads, space.dim, size)
+    digest = space.digest(*[one.slopes for one in yields if one.slopes is not None])
     if isinstance(u0, Initial):
         with at_path("initial."):
-            u0 = u0.state(space, fields, size)
+            u0 = u0.state(space, fields, size, digest)
     A = sp.csc_array((size, size)) if A is None else A
     with _blaming(effects, parts):
         problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
-    problem.unknowns_digest, problem.moved = space.digest, bool(lifts)
-    contact = merged([one.contact for one in yields if one.contact is not None])
+    problem.unknowns_digest, problem.moved = digest, bool(lifts)
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
@@ -461,7 +461,7 @@ def build(
     return Scene(
         problem=problem,
         discretisation=space,
-        contact=contact,
+        contact=merged([one.contact for one in yields if one.contact is not None]),
         effects=tuple(effects.values()),
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
@@ -496,7 +496,8 @@ def _with_effects(
             )
         if space.components > 1 and hasattr(one, "turned"):
             names = boundary_names(f"{label}.turned", one.turned)
-            turned += [name for name in names if name in (space.mesh.boundaries or {})]
+            if set(names) <= set(space.mesh.boundaries or {}):
+                turned.append(names)
     if turned != list(space.turned):
         space = space.with_unknowns(turned=tuple(dict.fromkeys(turned)))
     space = copy(space)
@@ -684,23 +685,23 @@ class _Load(NamedTuple):
     """``sum_k phi_k(t) f_k(t)``, with the breakpoints of those phi_k that know them."""
 
     terms: Sequence[tuple[Any, Any]]
+    of_body: int
     dim: int
-    internal: int
 
     def __call__(self, t: float) -> Array:
         name, terms = f"a function in loads, at t = {t:g},", self.terms
-        f = sum(phi(t) * vector(name, f(t) if callable(f) else f, self.dim) for phi, f in terms)
-        return np.pad(f, (0, self.internal))
+        f = sum(phi(t) * vector(name, f(t) if callable(f) else f, self.of_body) for phi, f in terms)
+        return np.pad(f, (0, self.dim - self.of_body))
 
     def breakpoints(self, a: float, b: float) -> Array:
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
-def _force(terms: Sequence[Any], dim: int, internal: int) -> Any:
+def _force(terms: Sequence[Any], of_body: int, dim: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
     if any(callable(f) for _, f in terms):
-        return _Load(terms, dim, internal)
-    padded = [(phi, np.pad(vector("loads", f, dim), (0, internal))) for phi, f in terms]
+        return _Load(terms, of_body, dim)
+    padded = [(phi, np.pad(vector("loads", f, of_body), (0, dim - of_body))) for phi, f in terms]
     return Separable(padded) if terms else None
 
 

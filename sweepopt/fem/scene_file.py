@@ -295,6 +295,8 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
         return _construct(SlipWeakening, value, path, folder)
     if isinstance(value, Mapping) and "along" in value:
         return _construct(Profile, value, path, folder)
+    if isinstance(value, list):  # of x, y and z
+        return [_value(key, one, f"{path}[{k}]", folder) for k, one in enumerate(value)]
     return value
 
 

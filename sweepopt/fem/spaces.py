@@ -79,9 +79,9 @@ class Discretisation(Brief):
 
     Attributes
     ----------
-    turned : sequence of str
+    turned : sequence of tuple of str
         Boundaries where the unknowns of a node are the components along its normal and its
-        tangents; scenes turn those with friction.
+        tangents: scenes turn those with friction, which have one normal for all names of an effect.
     dim : int
         Number of unknowns.
     components : int
@@ -115,7 +115,7 @@ class Discretisation(Brief):
     refinements: int = 0
     kind: str = "antiplane"
     held: Mapping[str, str] = field(default_factory=dict)
-    turned: Sequence[str] = field(default=(), init=False)
+    turned: Sequence[tuple[str, ...]] = field(default=(), init=False)
     start = 0.0  # of the scene that is built on it: when functions of time may be called
     effects = tuple[Any, ...]()  # all of that scene
 
@@ -227,13 +227,16 @@ class Discretisation(Brief):
         other.__dict__.update(fields)
         return other
 
-    @property
-    def digest(self) -> str:
-        """A checksum of the kind, the unknowns, and the nodes to 1e-9 of the body's size."""
-        places = np.round(self.points / np.ptp(self.points), 9) + 0.0  # one zero
-        turned = np.round(self.frame.T.data, 9)
-        parts = self.kind.encode(), places.tobytes(), self.free.tobytes(), turned.tobytes()
-        return hashlib.sha256(b" ".join(parts)).hexdigest()
+    def digest(self, *internal: Array) -> str:
+        """A checksum of the kind, cells and unknowns, and of the nodes to 1e-9 of the body's size.
+
+        `internal` is what internal unknowns are measured in.
+        """
+        size, cells = np.ptp(self.points), np.asarray(self.mesh.t, dtype=np.int64)
+        places = np.round(self.points / size, 9) + 0.0  # one zero
+        directions = np.round(self.frame.basis, 9) + 0.0
+        parts = [part.tobytes() for part in (cells, places, self.free, directions, *internal)]
+        return hashlib.sha256(b" ".join([f"{self.kind} {size:.9g}".encode(), *parts])).hexdigest()
 
     def loose_point(self, M: Any) -> str | None:
         """A point of a piece of the body that a matrix of the unknowns does not hold, if any.
@@ -324,6 +327,7 @@ class Discretisation(Brief):
                 raise InputError(
                     f"{what}: {default}{name!r} is not a boundary of the mesh; there are: {known}"
                 )
+            _require_some(what, name, boundaries[name])
             if np.any(self.mesh.f2t[1, boundaries[name]] >= 0):
                 raise InputError(f"{what}: {name!r} lies inside the body; name a boundary of it")
         groups = [np.asarray(boundaries[name], dtype=np.int64) for name in names]
@@ -438,6 +442,8 @@ class Discretisation(Brief):
                 f"{what}: {both[0]!r} is a boundary and a subdomain; give one another name"
             )
         if on and all(name in inside for name in on):
+            for name in on:
+                _require_some(what, name, inside[name])
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
         elif on and (tuple(on) != (BODY,) or BODY in boundaries):
@@ -511,6 +517,12 @@ class Place(NamedTuple):
     def vector(self, form: Callable[..., Any]) -> Array:
         """Integrals of form(v, w) for all degrees of freedom."""
         return np.asarray(skfem.LinearForm(form).assemble(self.basis))
+
+
+def _require_some(what: str, name: str, members: Any) -> None:
+    """Refuse a name of no part, as a condition that no point meets gives."""
+    if not len(members):
+        raise InputError(f"{what}: {name!r} is empty in this mesh; name a part that is there")
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:
