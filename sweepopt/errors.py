@@ -6,6 +6,7 @@ a user passes raises goes through as it is, with a note that says which function
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 def shown(value: object) -> str:
     """What a user passed, as a message can show it."""
     try:
-        text = " ".join(repr(value).split())
+        text = re.sub(" at 0x[0-9a-f]+", "", " ".join(repr(value).split()))
         return text if len(text) <= 80 else f"{text:.77}..."
     except (ValueError, RecursionError):  # thousands of digits, lists in lists without end
         return f"{type(value).__name__} too long to print"

@@ -362,7 +362,7 @@ class SweepingProcess(Displayed):
         if not excess.any():
             return False
         what, home = self._balance(t)
-        where = f"{what} is not in {home}; its distance is {np.linalg.norm(excess):g}"
+        where = f"{what} is not {home}; its distance is {np.linalg.norm(excess):g}"
         if not self.coercive:
             K = self.kernel
             if K.shape[1] and _excess(K.T @ force, image(K.T, C)).any():
@@ -376,14 +376,14 @@ class SweepingProcess(Displayed):
             remedy = "a dissipation that contains 0, as so.Box(-g, g) for a friction bound g"
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give a "
-            f"u0 with {what} in {home}, or {remedy}",
+            f"u0 with {what} {home}, or {remedy}",
             InitialStateWarning,
         )
         return True
 
     def _balance(self, t: float) -> tuple[str, str]:
-        """What is in which set if the body can be at rest, in words."""
-        return "B u0", f"C({t:g})"
+        """What is where if the body can be at rest, in words."""
+        return "B u0", f"in C({t:g})"
 
     @cached_property
     def kernel(self) -> Matrix:
@@ -478,6 +478,8 @@ class SweepingProcess(Displayed):
     C="; its C(t) is load - dissipation: give these, or take SweepingProcess(A, B, C, u0)",
     f="; f is load",
     center="; the load moves the set: give load",
+    force="; a force is a load",
+    M="; there is no inertia: a viscosity is A, a stiffness B",
     J="; J is the support function of the set dissipation",
     D="; D is dissipation",
     friction="; a friction bound g is dissipation=so.Box(-g, g)",
@@ -577,7 +579,9 @@ class EvolutionVI(SweepingProcess):
     def _balance(self, t: float) -> tuple[str, str]:
         names = {"the dissipation set": self.dissipation, "the polar cone of K": self.cone}
         home = " + ".join(name for name, given in names.items() if given is not None)
-        return f"f({t:g}) - B u0", home or "{0}"
+        if not home:
+            return "B u0", f"equal to f({t:g})"
+        return f"f({t:g}) - B u0", f"in {home}"
 
 
 def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
