@@ -91,7 +91,11 @@ def takes(name: str, function: Any, *given: str) -> None:
     if not callable(function):
         raise InputError(wanted)
     try:
-        signature(function).bind(*given)
+        call = signature(function)
+        call.bind(*given)
+        names = [*call.parameters][: len(given)]
+        if names != [*given] and {*names} == {*given}:
+            raise TypeError("the same names in another order")
     except TypeError as error:
         raise InputError(f"{wanted} ({error})") from None
     except ValueError:  # some of other languages have no signature
