@@ -138,6 +138,7 @@ class SweepingProcess(Displayed):
     """
 
     _stated_by: tuple[str, ...] = ("C",)
+    time_scale = 0.0
     moved = False  # whether a body's boundaries are moved by data, whose work is in no load
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
     _instead: ClassVar = {"solve": "it is a function, so.solve(process, t_end=1.0, steps=100)"}
@@ -164,7 +165,6 @@ class SweepingProcess(Displayed):
         self._require_held(np.ones(self.dim))
         if self.B is not None:
             require_semidefinite("B", self.B)
-        self.time_scale = 0.0
         try:
             self.metric = Factor(self.A, "A")
         except IndefiniteError as error:
@@ -179,11 +179,6 @@ class SweepingProcess(Displayed):
         if abs(self.metric.M @ u - 1).max() > 1:
             self._require_held(u)
         self.coercive = self.time_scale == 0.0
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if "coercive" in vars(self) and name in ("A", "B", "C", "u0", *self._stated_by):
-            raise InputError(f"{name} of a process cannot be changed; make a new process with it")
-        super().__setattr__(name, value)
 
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"

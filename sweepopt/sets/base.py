@@ -20,9 +20,8 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache, wraps
-from inspect import signature
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
@@ -149,12 +148,6 @@ class NoHalfspacesError(Exception):
     """A set, named by its part, that is no polyhedron or whose rows are not known."""
 
 
-@lru_cache(None)
-def arguments(kind: type) -> Collection[str]:
-    """Those of a set of the library; of a set of a user's own what may change is its own."""
-    return signature(kind).parameters if kind.__module__.startswith(__package__) else ()
-
-
 @lru_cache(64)
 def identity(n: int) -> sp.csr_array:
     """I, the same object for every set that is its own part."""
@@ -262,12 +255,6 @@ class Operators(Brief):
     __array_ufunc__ = None
     __pandas_priority__ = 10000
     depth = 0  # of operations that each ask the set before
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        """What a set of the library was made of stays: offsets and bounds would not follow."""
-        if name in vars(self) and name in arguments(cast(Any, type(self))):
-            raise InputError(f"{name} of a set cannot be changed; make a new set with it")
-        super().__setattr__(name, value)
 
     def __add__(self, other: Any) -> Any:
         return self.algebra.add(self, other)

@@ -106,10 +106,8 @@ class Polyhedron(ConvexSet):
         self._set_offsets(h)
 
     def _set_offsets(self, h: Any) -> None:
-        vars(self)["h"] = read_only(
-            vector("h, one for each row of G,", h, self.G.shape[0], finite=False)
-        )
-        self.offsets = self.h / self._units
+        h = read_only(vector("h, one for each row of G,", h, self.G.shape[0], finite=False))
+        vars(self).update(h=h, offsets=h / self._units)
         if np.isinf(self.h).any():
             i = int(np.flatnonzero(np.isinf(self.h))[0])
             raise InputError(f"h[{i}] is {self.h[i]}; leave out rows without a bound")
