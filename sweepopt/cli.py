@@ -122,7 +122,9 @@ def _parser() -> argparse.ArgumentParser:
 
     study = commands.add_parser("study", help="what accuracy costs, run by run; resumable")
     study.set_defaults(command=_study)
-    study.add_argument("study", metavar="STUDY", help="a TOML file, accuracy, hard, or stiff")
+    study.add_argument(
+        "study", metavar="STUDY", help="a TOML file, accuracy, hard, mesh, stiff, or tolerance"
+    )
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
     where = study.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")

@@ -301,7 +301,7 @@ class Coefficient(NamedTuple):
             values[:] = floats(self.name, function, "numbers, one for each point x")
         except InputError:
             raise
-        except (TypeError, ValueError, OverflowError) as error:
+        except (TypeError, ValueError) as error:
             raise InputError(
                 f"{self.name} must turn points x of shape (d, ...) into numbers of shape (...), as "
                 f"lambda x: 1 + x[0] * x[1] does; {error}"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from inspect import signature
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
 
@@ -137,7 +138,6 @@ class SweepingProcess(Displayed):
     0.5
     """
 
-    _stated_by: tuple[str, ...] = ("C",)
     time_scale = 0.0
     moved = False  # whether a body's boundaries are moved by data, whose work is in no load
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
@@ -182,8 +182,8 @@ class SweepingProcess(Displayed):
 
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
-        parts = ("A", "B", *self._stated_by, "u0")
-        yield from ((name, brief(x)) for name in parts if (x := getattr(self, name)) is not None)
+        parts = ((name, getattr(self, name, None)) for name in signature(type(self)).parameters)
+        yield from ((name, brief(x)) for name, x in parts if x is not None and name != "fields")
 
     def _picture(self) -> str:
         return self.C._picture()
@@ -516,8 +516,6 @@ class EvolutionVI(SweepingProcess):
     >>> vi.C.at(0.0).support([1.0])
     1.0
     """
-
-    _stated_by = ("load", "dissipation", "cone")
 
     def __init__(
         self,
