@@ -34,12 +34,13 @@ def suggestion(word: object, known: Iterable[str]) -> str:
     """The known word that is nearest to an unknown one in any case, as the end of a message.
 
     The part behind a hyphen is enough: "euler" and "backward-euler" are near "implicit-euler"; and
-    so are the first three letters.
+    so is a word that begins with the other, of three letters or more.
     """
     words = {part: one for one in known for part in (one.lower().rpartition("-")[2], one.lower())}
     last = word.lower().rpartition("-")[2] if isinstance(word, str) else ""
     near = get_close_matches(last, words, 1)
-    near = near or [one for one in words if len(last) > 2 and one.startswith(last)]
+    if len(last) > 2 and not near:
+        near = [one for one in words if one[2:] and last.startswith(one[: len(last)])]
     return f"; did you mean {words[near[0]]}?" if near else ""
 
 
