@@ -202,7 +202,7 @@ def __dir__() -> list[str]:
     return [*__all__, *_ROOMS[-3:], "__doc__", "__version__"]
 
 
-def scene(source: Any = "", **options: Any) -> fem.Scene:
+def scene(*source: Any, **options: Any) -> fem.Scene:
     """Read a scene: `sweepopt.fem.read_scene`, whose help lists all keys of scene files.
 
     Parameters
@@ -225,4 +225,4 @@ def scene(source: Any = "", **options: Any) -> fem.Scene:
     from sweepopt.checks import with_checks
     from sweepopt.fem import read_scene
 
-    return with_checks(unwrap(read_scene), scene)(source, **options)
+    return with_checks(unwrap(read_scene), scene)(*source, **options)

@@ -91,7 +91,11 @@ def takes(name: str, function: Any, *given: str) -> None:
     if not callable(function):
         raise InputError(wanted)
     try:
-        signature(function).bind(*given)
+        call = signature(function)
+        call.bind(*given)
+        names = [*call.parameters][: len(given)]
+        if names != [*given] and {*names} == {*given}:
+            raise TypeError("the same names in another order")
     except TypeError as error:
         raise InputError(f"{wanted} ({error})") from None
     except ValueError:  # some of other languages have no signature
@@ -388,8 +392,13 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> Array:
         if isinstance(value, np.ma.MaskedArray):  # under a mask there is any number
             value = np.ma.filled(value.astype(float), np.nan)
         array = np.array(value, ndmin=ndmin)
-        if array.dtype == object and any(entry is None for entry in array.flat):
-            raise TypeError("None is no number; a function without return gives it")
+        for entry in array.flat if array.dtype == object else ():
+            if entry is None:
+                raise TypeError("None is no number; a function without return gives it")
+            if not hasattr(entry, "__float__"):
+                raise TypeError(f"{type(entry).__name__} is no number")
+        if array.dtype.kind in "SU":
+            raise TypeError("text is no number; leave out the quotes")
         if array.dtype.kind not in "iufO":
             raise TypeError(f"entries are {array.dtype}; give numbers")
         with np.errstate(over="ignore"):
@@ -399,6 +408,8 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> Array:
         return result
     except (TypeError, ValueError, OverflowError) as error:
         reason, several = str(error), (list, tuple)
+        if "inhomogeneous" in reason:
+            reason = "its rows have different lengths"
         pairs = value if isinstance(value, several) else []
         pairs = [one if isinstance(one, several) else [one] for one in pairs]
         if any(callable(part) for pair in pairs for part in pair):

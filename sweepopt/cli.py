@@ -59,8 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
-        word, known = unknown[0], [f"--{name}".replace("_", "-") for name in vars(options)]
-        hint = "; put it after the command" if word in known else suggestion(word, known)
+        word, names = unknown[0], vars(options).keys() - {"command", "scene", "study"}
+        known = [f"--{name}".replace("_", "-") for name in names]
+        hint = suggestion(word, known) or f"; there are: {', '.join(sorted(known))}"
+        if word in known:
+            hint = "; put it after the command"
         if not word.startswith("-"):
             hint = "; give one SCENE or STUDY, and words with blanks in quotes: --set 'PATH=a b'"
         parser.error(f"unrecognized argument {word}{hint}")
@@ -119,7 +122,9 @@ def _parser() -> argparse.ArgumentParser:
 
     study = commands.add_parser("study", help="what accuracy costs, run by run; resumable")
     study.set_defaults(command=_study)
-    study.add_argument("study", metavar="STUDY", help="a TOML file, accuracy, hard, or stiff")
+    study.add_argument(
+        "study", metavar="STUDY", help="a TOML file, accuracy, hard, mesh, stiff, or tolerance"
+    )
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
     where = study.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from sweepopt.errors import InputError
+
 Rows = Iterable[tuple[str, object]]
 COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#0072B2")
 """Told apart with every common colour vision (Okabe and Ito)."""
@@ -75,7 +77,14 @@ def by_parts(thing: Any) -> str:
 
 
 class Brief:
-    """The base of what shows itself by what it was made of."""
+    """The base of what shows itself by what it was made of, and stays so."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set once: what was computed of a value would not follow another one."""
+        if name in vars(self) and name[0] != "_" and type(self).__module__.startswith(__package__):
+            kind = type(self).__name__
+            raise InputError(f"{name} of a {kind} cannot be changed; make a new {kind} with it")
+        super().__setattr__(name, value)
 
     def __repr__(self) -> str:
         return by_parts(self)

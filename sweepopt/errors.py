@@ -6,6 +6,7 @@ a user passes raises goes through as it is, with a note that says which function
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 def shown(value: object) -> str:
     """What a user passed, as a message can show it."""
     try:
-        text = " ".join(repr(value).split())
+        text = re.sub(" at 0x[0-9a-f]+", "", " ".join(repr(value).split()))
         return text if len(text) <= 80 else f"{text:.77}..."
     except (ValueError, RecursionError):  # thousands of digits, lists in lists without end
         return f"{type(value).__name__} too long to print"
@@ -33,12 +34,13 @@ def suggestion(word: object, known: Iterable[str]) -> str:
     """The known word that is nearest to an unknown one in any case, as the end of a message.
 
     The part behind a hyphen is enough: "euler" and "backward-euler" are near "implicit-euler"; and
-    so are the first three letters.
+    so is a word that begins with the other, of three letters or more.
     """
     words = {part: one for one in known for part in (one.lower().rpartition("-")[2], one.lower())}
     last = word.lower().rpartition("-")[2] if isinstance(word, str) else ""
     near = get_close_matches(last, words, 1)
-    near = near or [one for one in words if len(last) > 2 and one.startswith(last)]
+    if len(last) > 2 and not near:
+        near = [one for one in words if one[2:] and last.startswith(one[: len(last)])]
     return f"; did you mean {words[near[0]]}?" if near else ""
 
 

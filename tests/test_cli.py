@@ -319,6 +319,10 @@ def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
         "argument COMMAND: invalid choice: 'rum' (choose from 'list', 'run', 'effects', 'study', "
         "'compare')",
     ),
+    (
+        ["effects", "pipe", "--scheme", "exact"],
+        "unrecognized argument --scheme; there are: --set, --steps, --without",
+    ),
     (["--bound", "run", "pipe"], "unrecognized argument --bound; put it after the command"),
     (
         ["run", "pipe", "tube"],

@@ -243,6 +243,14 @@ def test_a_run_of_another_mesh_is_no_run_of_the_scene():
         left.displacement(right.solve())
 
 
+def test_what_a_set_is_made_of_cannot_be_changed():
+    # a process has its own set, and bounds have the offsets: neither would follow
+    ball, box, half = so.Ball([0.0], 1.0), so.Box(-1, 1), so.Polyhedron([[1.0], [-1.0]], [1.0, 1.0])
+    for entries in (ball.center, box.lower, box.upper, half.G, half.h):
+        with pytest.raises(ValueError, match="read-only"):
+            entries[:] = 2.0
+
+
 class Pull:
     """A load that is no function of Python's, whose repr has an address."""
 

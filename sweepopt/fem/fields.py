@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import at_path, choice, number
+from sweepopt.checks import at_path, choice, floats, number
 from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.loads import check_points
 
@@ -298,10 +298,10 @@ class Coefficient(NamedTuple):
             with at_path(f"{self.name} " if isinstance(datum, str) else f"{self.name}."):
                 if callable(function):
                     function = function(x, t) if moves else function(x)
-                values[:] = np.asarray(function, dtype=float)
+            values[:] = floats(self.name, function, "numbers, one for each point x")
         except InputError:
             raise
-        except (TypeError, ValueError, OverflowError) as error:
+        except (TypeError, ValueError) as error:
             raise InputError(
                 f"{self.name} must turn points x of shape (d, ...) into numbers of shape (...), as "
                 f"lambda x: 1 + x[0] * x[1] does; {error}"

@@ -115,7 +115,11 @@ class Scene(Displayed):
     tables: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
 
-    _instead: ClassVar = {"run": "scene.solve() runs it", "u": "scene.solve().u are the states"}
+    _instead: ClassVar = {
+        "mesh": "it is scene.discretisation.mesh",
+        "run": "scene.solve() runs it",
+        "u": "scene.solve().u are the states",
+    }
 
     def _rows(self) -> Rows:
         space = self.discretisation

@@ -53,7 +53,15 @@ EFFECTS: dict[str, type] = {
     "maxwell": effects.MaxwellBranch,
 }
 """Effects by the name of their table in a scene file."""
-MEANT = {"gravity": "; did you mean body_force?"}
+MEANT = {
+    "contact": "; did you mean friction? held = { boundary = 'n' } keeps it in place",
+    "damping": "; did you mean viscosity, or dashpot on a boundary?",
+    "gravity": "; did you mean body_force?",
+    "mass": "; there is no inertia: bodies move slowly",
+    "pressure": "; did you mean traction?",
+    "spring": "; did you mean foundation?",
+    "temperature": "; did you mean eigenstrain?",
+}
 """What stands here for effects by another name."""
 MISSING = {
     "domain": "; write [domain], with mesh and clamped",

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from inspect import signature
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
 
@@ -137,7 +138,7 @@ class SweepingProcess(Displayed):
     0.5
     """
 
-    _stated_by: tuple[str, ...] = ("C",)
+    time_scale = 0.0
     moved = False  # whether a body's boundaries are moved by data, whose work is in no load
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
     _instead: ClassVar = {"solve": "it is a function, so.solve(process, t_end=1.0, steps=100)"}
@@ -164,7 +165,6 @@ class SweepingProcess(Displayed):
         self._require_held(np.ones(self.dim))
         if self.B is not None:
             require_semidefinite("B", self.B)
-        self.time_scale = 0.0
         try:
             self.metric = Factor(self.A, "A")
         except IndefiniteError as error:
@@ -180,15 +180,10 @@ class SweepingProcess(Displayed):
             self._require_held(u)
         self.coercive = self.time_scale == 0.0
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        if "coercive" in vars(self) and name in ("A", "B", "C", "u0", *self._stated_by):
-            raise InputError(f"{name} of a process cannot be changed; make a new process with it")
-        super().__setattr__(name, value)
-
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
-        parts = ("A", "B", *self._stated_by, "u0")
-        yield from ((name, brief(x)) for name in parts if (x := getattr(self, name)) is not None)
+        parts = ((name, getattr(self, name, None)) for name in signature(type(self)).parameters)
+        yield from ((name, brief(x)) for name, x in parts if x is not None and name != "fields")
 
     def _picture(self) -> str:
         return self.C._picture()
@@ -362,7 +357,7 @@ class SweepingProcess(Displayed):
         if not excess.any():
             return False
         what, home = self._balance(t)
-        where = f"{what} is not in {home}; its distance is {np.linalg.norm(excess):g}"
+        where = f"{what} is not {home}; its distance is {np.linalg.norm(excess):g}"
         if not self.coercive:
             K = self.kernel
             if K.shape[1] and _excess(K.T @ force, image(K.T, C)).any():
@@ -376,14 +371,14 @@ class SweepingProcess(Displayed):
             remedy = "a dissipation that contains 0, as so.Box(-g, g) for a friction bound g"
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give a "
-            f"u0 with {what} in {home}, or {remedy}",
+            f"u0 with {what} {home}, or {remedy}",
             InitialStateWarning,
         )
         return True
 
     def _balance(self, t: float) -> tuple[str, str]:
-        """What is in which set if the body can be at rest, in words."""
-        return "B u0", f"C({t:g})"
+        """What is where if the body can be at rest, in words."""
+        return "B u0", f"in C({t:g})"
 
     @cached_property
     def kernel(self) -> Matrix:
@@ -478,6 +473,8 @@ class SweepingProcess(Displayed):
     C="; its C(t) is load - dissipation: give these, or take SweepingProcess(A, B, C, u0)",
     f="; f is load",
     center="; the load moves the set: give load",
+    force="; a force is a load",
+    M="; there is no inertia: a viscosity is A, a stiffness B",
     J="; J is the support function of the set dissipation",
     D="; D is dissipation",
     friction="; a friction bound g is dissipation=so.Box(-g, g)",
@@ -519,8 +516,6 @@ class EvolutionVI(SweepingProcess):
     >>> vi.C.at(0.0).support([1.0])
     1.0
     """
-
-    _stated_by = ("load", "dissipation", "cone")
 
     def __init__(
         self,
@@ -577,7 +572,9 @@ class EvolutionVI(SweepingProcess):
     def _balance(self, t: float) -> tuple[str, str]:
         names = {"the dissipation set": self.dissipation, "the polar cone of K": self.cone}
         home = " + ".join(name for name, given in names.items() if given is not None)
-        return f"f({t:g}) - B u0", home or "{0}"
+        if not home:
+            return "B u0", f"equal to f({t:g})"
+        return f"f({t:g}) - B u0", f"in {home}"
 
 
 def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
 
 TRIED = {
+    "to_netcdf": "save(path) writes that file",
     "y": "the states are u, one row a time",
     "x": "the states are u, one row a time",
     "times": "the times are t",

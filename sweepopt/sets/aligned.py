@@ -59,6 +59,8 @@ class Aligned(ConvexSet):
     unknowns: Any = None
     v: Array | None = None
     factor = 1.0
+    # some are made at each time, and none has data of a user's
+    __setattr__ = object.__setattr__  # type: ignore[assignment]
 
     def __init__(
         self, *parts: ConvexSet, unknowns: Array | None = None, dim: int | None = None

@@ -163,7 +163,7 @@ class Ball(Balls):
         center = entries("center", center)
         self.radius = number("radius", radius, minimum=0.0)
         super().__init__([self.radius], center.size)
-        self.center, self.offsets = center, np.append(center, self.radius)
+        vars(self).update(center=center, offsets=np.append(center, self.radius))
 
     def features(self, p: cp.Expression) -> Features:
         sizes, constraints = super().features(p)

@@ -319,6 +319,8 @@ class _Required:
 class ConvexSet(Operators, ABC):
     """A non-empty closed convex set C in R^dim: the base of all sets, and of your own.
 
+    A set stays as it was made: to change a radius or a bound make a new set, and a new process.
+
     A set of your own has `dim` and `offsets`, and gives `support`, `project` and `features`; the
     example has all that is needed. If it has more data than its offsets, such as a matrix, name
     them in `fixed`; if it is unbounded give `normal` too, and `derivative` to let Newton's method

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
-from sweepopt.checks import Array, matrix, number, vector
+from sweepopt.checks import Array, matrix, number, read_only, vector
 from sweepopt.display import brief
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import UNIT, dense, product_error, row_lengths
@@ -78,6 +78,7 @@ class Polyhedron(ConvexSet):
     array([0.5, 0.5])
     """
 
+    h: Array
     polyhedral, fixed = True, ("G",)
 
     def __new__(cls, *args: Any, **named: Any) -> Any:  # subclasses have their own arguments
@@ -105,8 +106,8 @@ class Polyhedron(ConvexSet):
         self._set_offsets(h)
 
     def _set_offsets(self, h: Any) -> None:
-        self.h = vector("h, one for each row of G,", h, self.G.shape[0], finite=False)
-        self.offsets = self.h / self._units
+        h = read_only(vector("h, one for each row of G,", h, self.G.shape[0], finite=False))
+        vars(self).update(h=h, offsets=h / self._units)
         if np.isinf(self.h).any():
             i = int(np.flatnonzero(np.isinf(self.h))[0])
             raise InputError(f"h[{i}] is {self.h[i]}; leave out rows without a bound")

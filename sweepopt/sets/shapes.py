@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Array, dimension, entries, vector
+from sweepopt.checks import Array, dimension, entries, read_only, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import (
     DENSE,
@@ -54,7 +54,7 @@ class Box(ConvexSet):
 
     def __init__(self, lower: Any, upper: Any) -> None:
         self.lower = entries("lower", lower, finite=False)
-        self.upper = vector("upper", upper, self.lower.size, finite=False)
+        self.upper = read_only(vector("upper", upper, self.lower.size, finite=False))
         self.dim = self.lower.size
         bad = (self.lower > self.upper) | (self.lower == np.inf) | (self.upper == -np.inf)
         if bad.any():

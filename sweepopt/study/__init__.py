@@ -14,6 +14,7 @@ with brought_by("study"):
     import plotly
     import threadpoolctl
 
+from sweepopt.checks import public
 from sweepopt.study.cell import machine
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
@@ -39,3 +40,6 @@ __all__ = [
     "work_precision",
     "write_report",
 ]
+
+for name in __all__:
+    globals()[name] = public(globals()[name])
