@@ -23,6 +23,7 @@ from scipy.sparse.linalg import norm
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.sets.aligned import Aligned, product_of
+from sweepopt.sets.balls import Ball, Balls
 from sweepopt.sets.base import (
     ROUNDING,
     Blocks,
@@ -153,16 +154,20 @@ class Lifted(ConvexSet):
     def _blocks(self) -> Aligned | None:
         """The same set as a product of independent ones, each in its own units; None if it is one.
 
-        80 discs cut with a box are 80 small sets; as one set, their steps miss tol = 1e-9.
+        80 discs cut with a box are 80 small sets; as one set, their steps miss tol = 1e-9. Parts
+        that E only puts in their places, as nodes that rub beside one at a corner, are one set.
         """
         E, F, stacked = self.lifted
         parts = [C for part in stacked for C in part.factors()]
         owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
         member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
-        table = sp.vstack([abs(E), abs(F), member])
+        alone = sp.vstack([E, F]).count_nonzero(axis=0) == 1
+        alone &= E.T @ (np.diff(E.indptr) == 1) == 1
+        placed_only = (np.bincount(owner, ~alone) == 0)[owner]
+        table = sp.vstack([abs(E), abs(F), member, sp.csr_array(placed_only[None])])
         _, label = connected_components(sp.block_array([[None, table], [table.T, None]]), False)
-        cuts = np.cumsum([E.shape[0], F.shape[0], len(parts)])
-        of_w, of_F, of_part, of_s = np.split(label, cuts)
+        cuts = np.cumsum([E.shape[0], F.shape[0], len(parts), 1])
+        of_w, of_F, of_part, of_placed, of_s = np.split(label, cuts)
         groups = np.intersect1d(of_w, of_s)
         if groups.size < 2:
             return None
@@ -170,7 +175,7 @@ class Lifted(ConvexSet):
         for group in groups:
             some, rows, own, at = (np.flatnonzero(x == group) for x in (of_w, of_F, of_part, of_s))
             form = Form(E[some][:, at], F[rows][:, at], tuple(parts[i] for i in own))
-            blocks.append(Lifted(form))
+            blocks.append(_placed(form) if group in of_placed else Lifted(form))
             unknowns.append(some)
         return Aligned(*blocks, unknowns=np.concatenate(unknowns), dim=self.dim)
 
@@ -421,3 +426,12 @@ class Intersection(Lifted):
         """(C & D)° = closure of C° + D°; projections on a sum are those on its closure."""
         closure: ConvexSet = self.operands[0].polar() + self.operands[1].polar()
         return closure
+
+
+def _placed(form: Form) -> ConvexSet:
+    """E s, where E only puts the parts in their places."""
+    balls = [C for C in form.parts if isinstance(C, Ball) and not np.any(C.center)]
+    part = product_of(form.parts)
+    if len(balls) == len(form.parts) and len({C.dim for C in balls}) == 1:
+        part = Balls([C.radius for C in balls], balls[0].dim)
+    return ConvexSet.algebra.image(form.E, part)
