@@ -161,6 +161,12 @@ def test_sets_of_several_kinds_are_solved_each_in_its_way_or_refused_before_the_
         so.solve(this, t_end=3.99, steps=40, solver="osqp")
 
 
+def test_a_solver_that_is_refused_names_the_users_set():
+    C = so.Moving(so.Polyhedron(np.eye(2), np.ones(2)), center=np.ones(2), scale=2.0)
+    with pytest.raises(so.SolverRefusedError, match="newton cannot treat Polyhedron"):
+        so.solve(so.SweepingProcess(np.eye(2), None, C, np.zeros(2)), t_end=1.0, solver="newton")
+
+
 @pytest.mark.parametrize("scale", [None, so.Table([0.0, 1.0, 2.0], [1.0, 0.2, 1.0])])
 def test_a_box_with_equal_bounds_away_from_the_contact_acts_on_the_contact_alone(
     scale,

@@ -874,3 +874,12 @@ def test_a_projection_of_0_that_starts_from_0_comes_to_parts_away_from_0():
     zero = np.zeros(form.E.shape[1])
     near = Projector(form)(np.zeros(2), Start(zero, zero))
     np.testing.assert_allclose(near.w, [0.5, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_body_rests_exactly_inside_of_a_skew_cone(seed):
+    M = np.random.default_rng(seed).normal(size=(3, 3))
+    cone, within = so.image(M, so.Orthant(3)), M @ np.full(3, 0.3)
+    assert not cone.normal(within).any()
+    A = np.eye(3)
+    assert not so.compatible_start(so.SweepingProcess(0 * A, A, cone - within, np.zeros(3))).any()

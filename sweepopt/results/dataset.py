@@ -213,9 +213,9 @@ def open_run(path: str | PathLike[str]) -> xr.Dataset:
     import xarray
 
     file_of_run = as_path("path", path)
-    if not file_of_run.is_file():
-        remedy = "; it is a folder, name the file in it" if file_of_run.is_dir() else ""
-        raise InputError(f"path: there is no file {path}{remedy}")
+    if not os.path.isfile(file_of_run):  # False for a name that is too long, too
+        remedy = "; it is a folder, name the file in it" if os.path.isdir(file_of_run) else ""
+        raise InputError(f"path: there is no file {path!s:.300}{remedy}")
     _check(file_of_run)
     return xarray.open_dataset(file_of_run, engine="h5netcdf")
 

@@ -266,7 +266,8 @@ class Polyhedron(ConvexSet):
         The set is that of h + margin. The first active rows are equations, if these are given.
         None where there are too many rows and unknowns, and where no active rows prove it.
         """
-        slack, root = self.offsets + margin - self.rows @ v, np.sqrt(tau * np.ones(self.dim))
+        offsets, root = self.offsets + margin, np.sqrt(tau * np.ones(self.dim))
+        slack = offsets - self.rows @ v
         if flat is None and (slack >= 0).all():
             return Shortest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if not self.exact:
@@ -277,7 +278,10 @@ class Polyhedron(ConvexSet):
             if flat is None
             else shortest_on(flat.equations, flat.others, G, slack, rounding)
         )
-        return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
+        if normal is None:
+            return None
+        at_apex = normal.active.size == self.dim and not offsets[normal.active].any()  # w is 0
+        return Shortest(v / tau if at_apex else 0.0 - normal.u / root, normal.active)
 
     def project(self, w: Array) -> Array:
         return w - self.normal(w)

@@ -93,10 +93,10 @@ def _new_solver(kind: Any, C: ConvexSet, tol: float) -> Solver:
 
 
 def _curved_parts(C: ConvexSet) -> str:
-    """The parts of C that are no polyhedra, by name."""
+    """The parts of C that are no polyhedra, by name; without any C itself."""
     parts = map(shape_of, C.form().parts)
     curved = dict.fromkeys(type(part).__name__ for part in parts if not part.polyhedral)
-    return ", ".join(curved) or type(C).__name__
+    return ", ".join(curved) or type(shape_of(C)).__name__
 
 
 def _names() -> str:
