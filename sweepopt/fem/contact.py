@@ -630,8 +630,9 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         sizes.append(np.concatenate([one.sizes(q) for one in rubbing])[keep])
         radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
-    along = np.concatenate([one.tangential for one in rubbing])[keep]
-    along = along[:, None] if several else along
+    lengths = np.concatenate([one.tangential for one in rubbing])
+    apart = np.abs(lengths - lengths[keep][owner]) > PARALLEL  # frictions of other tangents
+    along = lengths[keep][:, None] if several else lengths[keep]
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
     velocity = contact.of(solution.velocity) * along
     speed = np.abs(signed_lengths(velocity))
@@ -639,7 +640,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     every = sp.vstack([one.rows.E for one in scene.yields], "csr")
     entries = np.diff(every.indptr)  # more than one of a row that combines unknowns
     laws = contact.of(np.bincount(every.indices, np.repeat(entries, entries)))
-    mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
+    mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner, ~apart)
     facets = scene.discretisation.mesh.nfacets
     of_facets, of_cells = contact.parts[:, :facets], contact.parts[:, facets:]
     one_kind = (of_facets.sum(axis=1) == 0) | (of_cells.sum(axis=1) == 0)
