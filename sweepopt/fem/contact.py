@@ -422,9 +422,9 @@ def _slipping(
 ) -> tuple[Indices, Array, Array]:
     """What slips at nodes: unknowns for reports, -1 for others, rows of v, and tangents.
 
-    These are the tangential parts of the directions of a node that are not held, and rows are
-    directions alone where as many have such parts as the tangent plane has dimensions, else
-    combinations. Rows of zeros follow.
+    A direction of a node slips if it is not held and has a tangential part. The rows of a node are
+    these directions if their tangential parts are independent, else combinations of them. Rows of
+    zeros follow.
     """
     tangents = _tangents(body, nodes, names)
     left, lengths, _ = np.linalg.svd(tangents)
@@ -433,8 +433,8 @@ def _slipping(
     chosen = np.eye(body.components)[np.argsort(~rubs, axis=1, kind="stable")]
     rows = np.where(alone[..., None], chosen, left.transpose(0, 2, 1))
     unknown = np.searchsorted(body.free, body.nodes.T[nodes])
-    told = rubs & (alone | (slot > 0))
-    return np.where(told, unknown, -1), rows * (slot < sizes)[..., None], tangents
+    in_reports = rubs & (alone | (slot > 0))
+    return np.where(in_reports, unknown, -1), rows * (slot < sizes)[..., None], tangents
 
 
 def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Array:
