@@ -388,6 +388,7 @@ class Solution(Displayed):
             tableau = implicit_euler(tableau.euler_steps)
         return program_of_stage(self.process, t, u, end - t, tableau, stage)
 
+    @checks.with_checks
     def viability(self, t: Any = None) -> Array:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
@@ -672,6 +673,7 @@ class Solution(Displayed):
 
         return animate_solution(self, path)
 
+    @checks.with_checks
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.
 
