@@ -338,6 +338,10 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         if distinct and (factors == factors[0]).all():
             part = C if factors[0] == 1 else scale(factors[0], C)
             return nested(Aligned(part, unknowns=unknowns, dim=M.shape[0]), C)
+    few = np.unique(unknowns)
+    if sp.issparse(M) and 0 < few.size < M.shape[0] / 2:  # others are eliminated
+        part = _image(sp.csr_array(M)[few], C)
+        return nested(Aligned(part, unknowns=few, dim=M.shape[0]), C)
     if isinstance(C, Similar):
         moved = C.factor * _image(M, C.parts[0])
         return moved if C.v is None else moved + M @ C.v
