@@ -349,13 +349,14 @@ def _on_intervals(
         w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif part.offsets is None:
         w, gaps, moved = np.zeros_like(force), 2 * speed * part.distance, part.distance
-        unknown: list[Any] = [None] * len(part.scales)
-        points = model.members or unknown
+        known: list[Any] = [None] * len(part.scales)
+        if model.members:
+            known = [_chords(points, i, begin + share * THIRDS) for points in model.members]
+            _lead_at_rest(part, known, force, ~slopes.any(axis=(1, 2)))
         error, error_B, turning = _of_interpolation(part.center, part.center.slope_error, sizes)
-        for (f, _), shapes, scale, of_S in zip(
-            model.summands, part.shapes, part.scales, points, strict=True
+        for (f, _), shapes, scale, s in zip(
+            model.summands, part.shapes, part.scales, known, strict=True
         ):
-            s = None if of_S is None else _chords(of_S, i, begin + share * THIRDS)
             # a curve that is moved has no bound of int |r'|
             s, of_w, gap, distance = _within_shape(
                 norms, f, shapes, s, scale, aim, directions, ~stiff
@@ -391,6 +392,18 @@ def _chords(points: Array, i: Array, theta: Array) -> Array:
     first, last = points[np.maximum(i - 1, 0), None], points[i, None]
     chords: Array = first + theta[:, :, None] * (last - first)
     return chords
+
+
+def _lead_at_rest(part: _Part, curves: list[Array], force: Array, resting: Array) -> None:
+    """Where v' = 0 all w have G = 0: in turn each s goes on to the force that the others leave."""
+    sizes = [TO_BERNSTEIN @ scale.values[resting] for scale in part.scales]
+    scaled = (size * s[resting] for size, s in zip(sizes, curves, strict=True))
+    rest = TO_BERNSTEIN @ force[resting] - sum(scaled)
+    for size, s, shapes in zip(sizes, curves, part.shapes, strict=True):
+        if resting.any() and shapes[0].exact:
+            rest += size * s[resting]
+            s[resting] = _curve_in_shape(shapes, rest, size)
+            rest -= size * s[resting]
 
 
 def _within_shape(
