@@ -351,8 +351,7 @@ def _on_intervals(
         w, gaps, moved = np.zeros_like(force), 2 * speed * part.distance, part.distance
         known: list[Any] = [None] * len(part.scales)
         if model.members:
-            known = [_chords(points, i, begin + share * THIRDS) for points in model.members]
-            _lead_at_rest(part, known, force, ~slopes.any(axis=(1, 2)))
+            known = _known_curves(model.members, part, begin + share * THIRDS, force, slopes)
         error, error_B, turning = _of_interpolation(part.center, part.center.slope_error, sizes)
         for (f, _), shapes, scale, s in zip(
             model.summands, part.shapes, part.scales, known, strict=True
@@ -387,15 +386,18 @@ def _on_intervals(
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 
 
-def _chords(points: Array, i: Array, theta: Array) -> Array:
-    """Between points at nodes, at the shares theta of the steps i; in the first one its last."""
-    first, last = points[np.maximum(i - 1, 0), None], points[i, None]
-    chords: Array = first + theta[:, :, None] * (last - first)
-    return chords
+def _known_curves(
+    members: list[Array], part: _Part, theta: Array, force: Array, slopes: Array
+) -> list[Array]:
+    """A curve in each S through its points at nodes, at the shares theta of the steps.
 
-
-def _lead_at_rest(part: _Part, curves: list[Array], force: Array, resting: Array) -> None:
-    """Where v' = 0 all w have G = 0: in turn each s goes on to the force that the others leave."""
+    They are chords, that of the first step its last point. Where v' = 0 all w have G = 0: there
+    each curve in turn goes on to the force that the others leave.
+    """
+    curves, resting = [], ~slopes.any(axis=(1, 2))
+    for points in members:
+        first, last = (points[np.maximum(part.intervals.step - k, 0), None] for k in (1, 0))
+        curves.append(first + theta[:, :, None] * (last - first))
     sizes = [TO_BERNSTEIN @ scale.values[resting] for scale in part.scales]
     scaled = (size * s[resting] for size, s in zip(sizes, curves, strict=True))
     rest = TO_BERNSTEIN @ force[resting] - sum(scaled)
@@ -404,6 +406,7 @@ def _lead_at_rest(part: _Part, curves: list[Array], force: Array, resting: Array
             rest += size * s[resting]
             s[resting] = _curve_in_shape(shapes, rest, size)
             rest -= size * s[resting]
+    return curves
 
 
 def _within_shape(
