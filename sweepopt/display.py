@@ -81,9 +81,10 @@ class Brief:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set once: what was computed of a value would not follow another one."""
-        if name in vars(self) and name[0] != "_" and type(self).__module__.startswith(__package__):
+        ours = type(self).__module__.partition(".")[0] == __package__
+        if ours and name in vars(self) and name[0] != "_":
             kind = type(self).__name__
-            raise InputError(f"{name} of a {kind} cannot be changed; make a new {kind} with it")
+            raise InputError(f"{name} of {kind} cannot be changed; make a new {kind} with it")
         super().__setattr__(name, value)
 
     def __repr__(self) -> str:

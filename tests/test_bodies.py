@@ -596,6 +596,20 @@ def test_each_friction_has_its_own_tangents_where_walls_meet(held, points):
     assert run.stats["relative"].max() <= 1e-6
 
 
+def test_no_traction_is_told_where_frictions_along_other_tangents_share_a_node():
+    """It was above the bound by up to 49 %: the body slides along one wall and is held off it."""
+    mesh = grid([2.0, 1.0], [4, 3], ["x + 0.4 * y", "y + 0.2 * x"])
+    block = Discretisation(mesh, "right", kind="plane strain", held={"left": "n"})
+    pull = Traction("top", so.Constant(), [3.0, 2.0])
+    scene = body(block, [*MATERIAL, Friction("bottom", 0.1), Friction("left", 0.2), pull])
+    slip = slip_of(scene, scene.solve(t_end=1.0, steps=4, scheme="implicit-euler"))
+    corner = (slip.contact.points == 0.0).all(axis=1)
+    assert corner.sum() == 1
+    assert np.isnan(slip.traction[:, corner]).all()
+    assert np.isnan(slip.use[:, corner]).all()
+    assert np.abs(slip.use[:, ~corner]).max() == pytest.approx(1.0)
+
+
 def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():
     ramp, mesh = so.Table([0.0, 1.0], [0.0, 1.0]), square(2)
     sides = {"left": "x", "bottom": "n"}

@@ -409,7 +409,12 @@ def test_an_abaqus_file_has_its_sets_or_is_refused(tmp_path):
         assert set(places.ravel()) == {float(name in ("top", "roof"))}
     assert set(mesh.subdomains) == {"core", "left half", "right half"}
     assert mesh.p[0, mesh.t[:, mesh.subdomains["core"]]].max() == 1.0
+    # what makes no node and no element is no fault
+    more = "*ORIENTATION, SYSTEM=CYLINDRICAL\n0, 0, 0, 0, 0, 1\n*AMPLITUDE, INPUT=load.csv\n"
+    path.write_text(NODES + BLOCKS + SETS + more)
+    assert set(read_mesh(path).boundaries) == set(lines)
     for text, fault in (
+        (NODES + SETS, "has no triangles"),
         (NODES + BLOCKS + SETS + NODES, "several parts with nodes"),
         (NODES + BLOCKS + "*INSTANCE\n1.0, 0.0\n", "a keyword makes or moves"),
         (NODES + BLOCKS + "*NMAP\n", "a keyword makes or moves"),

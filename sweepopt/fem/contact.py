@@ -422,9 +422,9 @@ def _slipping(
 ) -> tuple[Indices, Array, Array]:
     """What slips at nodes: unknowns for reports, -1 for others, rows of v, and tangents.
 
-    These are the tangential parts of the directions of a node that are not held, and rows are
-    directions alone where as many have such parts as the tangent plane has dimensions, else
-    combinations. Rows of zeros follow.
+    A direction of a node slips if it is not held and has a tangential part. The rows of a node are
+    these directions if their tangential parts are independent, else combinations of them. Rows of
+    zeros follow.
     """
     tangents = _tangents(body, nodes, names)
     left, lengths, _ = np.linalg.svd(tangents)
@@ -433,8 +433,8 @@ def _slipping(
     chosen = np.eye(body.components)[np.argsort(~rubs, axis=1, kind="stable")]
     rows = np.where(alone[..., None], chosen, left.transpose(0, 2, 1))
     unknown = np.searchsorted(body.free, body.nodes.T[nodes])
-    told = rubs & (alone | (slot > 0))
-    return np.where(told, unknown, -1), rows * (slot < sizes)[..., None], tangents
+    in_reports = rubs & (alone | (slot > 0))
+    return np.where(in_reports, unknown, -1), rows * (slot < sizes)[..., None], tangents
 
 
 def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Array:
@@ -630,8 +630,9 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         sizes.append(np.concatenate([one.sizes(q) for one in rubbing])[keep])
         radii.append(np.bincount(owner, np.concatenate([one.at(t, u) for one in rubbing])))
     several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
-    along = np.concatenate([one.tangential for one in rubbing])[keep]
-    along = along[:, None] if several else along
+    lengths = np.concatenate([one.tangential for one in rubbing])
+    apart = np.abs(lengths - lengths[keep][owner]) > PARALLEL  # frictions of other tangents
+    along = lengths[keep][:, None] if several else lengths[keep]
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
     velocity = contact.of(solution.velocity) * along
     speed = np.abs(signed_lengths(velocity))
@@ -639,7 +640,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     every = sp.vstack([one.rows.E for one in scene.yields], "csr")
     entries = np.diff(every.indptr)  # more than one of a row that combines unknowns
     laws = contact.of(np.bincount(every.indices, np.repeat(entries, entries)))
-    mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner)
+    mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner, ~apart)
     facets = scene.discretisation.mesh.nfacets
     of_facets, of_cells = contact.parts[:, :facets], contact.parts[:, facets:]
     one_kind = (of_facets.sum(axis=1) == 0) | (of_cells.sum(axis=1) == 0)

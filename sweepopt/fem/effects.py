@@ -425,8 +425,9 @@ class Friction(Record):
     solid a run with the normal displacement free is well posed too, but the face moves across the
     floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch. At a corner of one
     boundary, or of several in one effect, a node has the mean normal, which costs O(h); two effects
-    each have their own tangents there. If neither is held and the angle is no right one, a step is
-    a program of all unknowns, which takes longer and is certified to about 1e-6.
+    each have their own tangents there. If neither boundary is held along its normal, and they do
+    not meet at a right angle, a step is a program of all unknowns, which takes longer and is
+    certified to about 1e-6.
 
     Parameters
     ----------

@@ -85,8 +85,9 @@ class Initial(Record):
             )
         if run.attrs.get("unknowns_digest", "") not in ("", digest):
             raise InputError(
-                f"run: {path} is of another mesh, has other components held or turned, as friction "
-                "turns them, or other moduli beside isotropic hardening; take a run of this body"
+                f"run: {path} is of another mesh or an earlier version of sweepopt, or other "
+                "components are held or turned (by friction), or moduli differ in a body with "
+                "isotropic hardening; take a run of this body"
             )
         return last
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from itertools import dropwhile
 
 import meshio
 import numpy as np
@@ -31,12 +32,14 @@ def read_abaqus(content: bytes) -> meshio.Mesh:
     names += [("ELSET", name) for name in blocks if name]
     faults = {
         "nodes or elements that a keyword makes or moves": any(
-            {keyword, *given} & MOVED or (keyword == "INSTANCE" and rows)
+            keyword in MOVED
+            or (keyword in ("NODE", "ELEMENT") and given.keys() & MOVED)
+            or (keyword == "INSTANCE" and rows)
             for keyword, given, rows in sections
         ),
         "several parts with nodes": keywords.count("NODE") > 1,
         "elements with a set and others without one": None in blocks and any(blocks),
-        "elements behind sets": "ELSET" in keywords[: -1 - keywords[::-1].index("ELEMENT")],
+        "elements behind sets": "ELEMENT" in dropwhile("ELSET".__ne__, keywords),
         "parts of a set in several places": len(set(names)) < len(names),
         "sets of sets": not all(row[:1].isdecimal() for _, _, rows in sets for row in rows),
     }

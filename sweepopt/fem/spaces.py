@@ -520,7 +520,7 @@ class Place(NamedTuple):
 
 
 def _require_some(what: str, name: str, members: Any) -> None:
-    """Refuse a name of no part, as a condition that no point meets gives."""
+    """Refuse an empty boundary or subdomain, as a condition gives that no point meets."""
     if not len(members):
         raise InputError(f"{what}: {name!r} is empty in this mesh; name a part that is there")
 

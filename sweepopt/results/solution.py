@@ -388,6 +388,7 @@ class Solution(Displayed):
             tableau = implicit_euler(tableau.euler_steps)
         return program_of_stage(self.process, t, u, end - t, tableau, stage)
 
+    @checks.with_checks
     def viability(self, t: Any = None) -> Array:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
@@ -439,10 +440,10 @@ class Solution(Displayed):
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
-        Computing it takes 6 times as long as the run (median; up to 14 for balls that are cut, added
-        or mapped), as it makes other runs with more steps where bodies start and stop; a single one
-        where C(t) is not data. Steps that were not kept are computed again. MATH.md section 4 says
-        how close bounds are.
+        Computing it takes 6 times as long as the run (median; up to 14 for balls that are cut,
+        added or mapped), as it makes other runs with more steps where bodies start and stop; a
+        single one where C(t) is not data. Steps that were not kept are computed again. MATH.md
+        section 4 says how close bounds are.
 
         Parameters
         ----------
@@ -618,7 +619,10 @@ class Solution(Displayed):
                 raise InputError(f"process has dim {given.dim}, but {path} has dim {u.shape[1]}")
             digest = run.attrs.get("unknowns_digest", given.unknowns_digest)
             if digest != given.unknowns_digest or not np.array_equal(given.u0, u[0]):
-                raise InputError(f"process is not that of {path}: its unknowns or u0 are others")
+                raise InputError(
+                    f"process is not that of {path}: its unknowns or u0 are others, or an earlier "
+                    "version of sweepopt wrote the file"
+                )
             if differ := differences(json.loads(run.problem), given, run.time.values):
                 warn(
                     f"{', '.join(differ)} of process and of the run in {path} are not the same to "
@@ -669,6 +673,7 @@ class Solution(Displayed):
 
         return animate_solution(self, path)
 
+    @checks.with_checks
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.
 

@@ -59,7 +59,7 @@ class Aligned(ConvexSet):
     unknowns: Any = None
     v: Array | None = None
     factor = 1.0
-    # some are made at each time, and none has data of a user's
+    # without the check of Brief: some are made at each time, and users set none of its attributes
     __setattr__ = object.__setattr__  # type: ignore[assignment]
 
     def __init__(
