@@ -349,13 +349,13 @@ def _on_intervals(
         w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif part.offsets is None:
         w, gaps, moved = np.zeros_like(force), 2 * speed * part.distance, part.distance
-        unknown: list[Any] = [None] * len(part.scales)
-        points = model.members or unknown
+        known: list[Any] = [None] * len(part.scales)
+        if model.members:
+            known = _known_curves(model.members, part, begin + share * THIRDS, force, slopes)
         error, error_B, turning = _of_interpolation(part.center, part.center.slope_error, sizes)
-        for (f, _), shapes, scale, of_S in zip(
-            model.summands, part.shapes, part.scales, points, strict=True
+        for (f, _), shapes, scale, s in zip(
+            model.summands, part.shapes, part.scales, known, strict=True
         ):
-            s = None if of_S is None else _chords(of_S, i, begin + share * THIRDS)
             # a curve that is moved has no bound of int |r'|
             s, of_w, gap, distance = _within_shape(
                 norms, f, shapes, s, scale, aim, directions, ~stiff
@@ -386,11 +386,27 @@ def _on_intervals(
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 
 
-def _chords(points: Array, i: Array, theta: Array) -> Array:
-    """Between points at nodes, at the shares theta of the steps i; in the first one its last."""
-    first, last = points[np.maximum(i - 1, 0), None], points[i, None]
-    chords: Array = first + theta[:, :, None] * (last - first)
-    return chords
+def _known_curves(
+    members: list[Array], part: _Part, theta: Array, force: Array, slopes: Array
+) -> list[Array]:
+    """A curve in each S through its points at nodes, at the shares theta of the steps.
+
+    They are chords, that of the first step its last point. Where v' = 0 all w have G = 0: there
+    each curve in turn goes on to the force that the others leave.
+    """
+    curves, resting = [], ~slopes.any(axis=(1, 2))
+    for points in members:
+        first, last = (points[np.maximum(part.intervals.step - k, 0), None] for k in (1, 0))
+        curves.append(first + theta[:, :, None] * (last - first))
+    sizes = [TO_BERNSTEIN @ scale.values[resting] for scale in part.scales]
+    scaled = (size * s[resting] for size, s in zip(sizes, curves, strict=True))
+    rest = TO_BERNSTEIN @ force[resting] - sum(scaled)
+    for size, s, shapes in zip(sizes, curves, part.shapes, strict=True):
+        if resting.any() and shapes[0].exact:
+            rest += size * s[resting]
+            s[resting] = _curve_in_shape(shapes, rest, size)
+            rest -= size * s[resting]
+    return curves
 
 
 def _within_shape(
