@@ -571,6 +571,16 @@ def test_no_traction_is_told_where_an_edge_and_the_face_of_a_sheet_rub():
     assert np.isfinite(slip.use).all()
 
 
+def test_two_frictions_at_an_oblique_corner_leave_the_other_unknowns_eliminated():
+    mesh = grid([1.0, 1.0], [8, 8], ["x + 0.3 * y", "y + 0.1 * x"])
+    rub = [Friction("bottom", 0.1), Friction("right", 0.2)]
+    pull = Traction("top", so.Constant(), [1.0, 0.5])
+    scene = body(Discretisation(mesh, "left", kind="plane strain"), [*MATERIAL, *rub, pull])
+    run = scene.solve(t_end=1.0, steps=2, tol=1e-9)
+    assert run.plan.eliminated == scene.problem.dim - 17
+    assert run.stats["relative"].max() <= 1e-9
+
+
 @pytest.mark.parametrize("points", [None, ["x + 0.3 * y", "y + 0.2 * x + 0.1 * z", "z + 0.3 * x"]])
 @pytest.mark.parametrize("held", [{}, {"front": "n"}])
 def test_each_friction_has_its_own_tangents_where_walls_meet(held, points):

@@ -426,8 +426,8 @@ class Friction(Record):
     floor; hold it, ``held = { bottom = "n" }``, where it shall stay in touch. At a corner of one
     boundary, or of several in one effect, a node has the mean normal, which costs O(h); two effects
     each have their own tangents there. If neither boundary is held along its normal, and they do
-    not meet at a right angle, a step is a program of all unknowns, which takes longer and is
-    certified to about 1e-6.
+    not meet at a right angle, a step takes longer, and is certified to about 1e-6 in a solid of
+    which more than half of the unknowns rub.
 
     Parameters
     ----------
