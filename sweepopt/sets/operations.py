@@ -339,7 +339,8 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
             part = C if factors[0] == 1 else scale(factors[0], C)
             return nested(Aligned(part, unknowns=unknowns, dim=M.shape[0]), C)
     few = np.unique(unknowns)
-    if sp.issparse(M) and 0 < few.size < M.shape[0] / 2:  # others are eliminated
+    # a dense program of few pays where those that are eliminated are more than those that stay
+    if sp.issparse(M) and 0 < few.size < M.shape[0] / 2:
         part = _image(sp.csr_array(M)[few], C)
         return nested(Aligned(part, unknowns=few, dim=M.shape[0]), C)
     if isinstance(C, Similar):
