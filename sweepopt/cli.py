@@ -161,12 +161,15 @@ def _list(_: argparse.Namespace) -> int:
 
 def _effects(options: argparse.Namespace) -> int:
     path = _readable(find_scene(options.scene))
-    from sweepopt.fem import compare_effects
-    from sweepopt.fem.scene_file import parse_changes
+    from sweepopt.fem.scene_file import effect_costs, parse_changes
 
-    changes = parse_changes(options.set)
-    table = compare_effects(path, changes=changes, without=options.without, steps=options.steps)
-    print(table.to_string(float_format="{:.1e}".format))
+    costs = effect_costs(path, parse_changes(options.set), options.without, options.steps)
+    table = [["", *costs["all effects"]]]
+    for name, cost in costs.items():
+        table.append([name, *(f"{x:.1e}" if type(x) is float else str(x) for x in cost.values())])
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for row in table:
+        print("  ".join(f"{word:>{width}}" for word, width in zip(row, widths, strict=True)))
     return DONE
 
 

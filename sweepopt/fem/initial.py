@@ -14,7 +14,7 @@ from sweepopt.fem.effects import Record
 from sweepopt.fem.fields import Array, Coefficient, Datum
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path
-from sweepopt.results import field_names, open_run
+from sweepopt.results import field_names, open_run, read
 
 DISPLACEMENT = Coefficient("u", vector=True)
 
@@ -74,8 +74,9 @@ class Initial(Record):
         labels = field_names(fields, size)
         try:
             with open_run(path) as run:
-                kinds = np.asarray(run.get("field", labels))
-                last: Array = run.u.isel(time=-1, missing_dims="ignore").values
+                kinds = read(run["field"]) if "field" in run.variables else labels
+                u, digest_of_run = run["u"], run.attrs.get("unknowns_digest", "")
+                last: Array = u[-1] if "time" in u.dimensions else u[...]
         except (InputError, DamagedFileError) as error:
             raise InputError(f"run: {str(error).removeprefix('path: ')}") from None
         if last.shape != u0.shape or not np.array_equal(kinds, labels):
@@ -83,7 +84,7 @@ class Initial(Record):
                 f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "
                 f"{size} of {_fields(labels)}; take a run of the same body and effects"
             )
-        if run.attrs.get("unknowns_digest", "") not in ("", digest):
+        if digest_of_run not in ("", digest):
             raise InputError(
                 f"run: {path} is of another mesh or an earlier version of sweepopt, or other "
                 "components are held or turned (by friction), or moduli differ in a body with "

@@ -22,11 +22,9 @@ from sweepopt import io
 from sweepopt.fem import pictures
 from sweepopt.fem.contact import Slip, signed_lengths, slip_of
 from sweepopt.plot import MOST_FRAMES, even_steps
-from sweepopt.results import software, solver_name, write_dataset
+from sweepopt.results import Dataset, dataset_of, software, solver_name, variable, write_dataset
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from sweepopt.fem.scene import Scene
     from sweepopt.fem.spaces import Discretisation
     from sweepopt.results import Energy, Solution
@@ -253,7 +251,7 @@ WEIGHT = "length, area or volume that it stands for"
 PLASTIC = "sqrt(2/3) |p| of the plastic strain p, its mean in each cell of the mesh"
 
 
-def dataset_of(report: Report) -> xr.Dataset:
+def dataset_on_mesh(report: Report) -> Dataset:
     """A run as a dataset on its mesh: what `solution.nc` holds.
 
     Dimensions are time, step, node (clamped ones too), triangle, corner and contact.
@@ -267,21 +265,22 @@ def dataset_of(report: Report) -> xr.Dataset:
         rows |= _of_contact(report.slip)
     if (strain := scene.plastic_strain(solution)) is not None:
         rows["plastic_strain"] = "time cell", "", strain, PLASTIC
-    run = solution.to_xarray().drop_vars("velocity")
-    run["u"] = run.u.isel(time=-1, drop=True).assign_attrs(long_name=STATE)
-    for name, (dims, quantity, values, words) in rows.items():
-        attributes = {"long_name": words, "units": units.get(quantity, "1")}
-        run[name] = dims.split(), values, attributes
+    run = dataset_of(solution)
+    del run.variables["velocity"]
+    rows["u"] = "unknown", "", solution.u[-1], STATE
+    for name, (dimensions, quantity, values, words) in rows.items():
+        run.variables[name] = variable(dimensions, values, words, units.get(quantity, "1"))
     for name in ("time", "certificate", "viability"):
-        run[name].attrs["units"] = units[name]
-    run.step_end.attrs["units"], run.field.attrs["units"] = units["time"], "1"
-    coordinates = {"x", "y", "z", "contact_node", "boundary", "arc_length"} & set(run)
-    return run.set_coords(coordinates).assign_attrs(
-        title=scene.title or report.name or "A body with friction",
-        Conventions="CF-1.11",
-        scene=report.text,
-        units_of_the_scene=scene.units,
-    )
+        run.variables[name][2]["units"] = units[name]
+    run.variables["step_end"][2]["units"] = units["time"]
+    run.coordinates |= {"x", "y", "z", "contact_node", "boundary", "arc_length"} & set(rows)
+    run.attributes |= {
+        "title": scene.title or report.name or "A body with friction",
+        "Conventions": "CF-1.11",
+        "scene": report.text,
+        "units_of_the_scene": scene.units,
+    }
+    return run
 
 
 def _of_mesh(report: Report) -> Variables:
@@ -302,7 +301,7 @@ def _of_mesh(report: Report) -> Variables:
 
 
 def _of_contact(slip: Slip) -> Variables:
-    """What `dataset_of` adds for the nodes with friction."""
+    """What `dataset_on_mesh` adds for the nodes with friction."""
     contact, names = slip.contact, slip.contact.boundary.astype(object)
     along = " component" if contact.unknown.ndim > 1 else ""
     return {
@@ -317,8 +316,8 @@ def _of_contact(slip: Slip) -> Variables:
 
 
 def write_netcdf(report: Report, path: Path) -> None:
-    """Write `dataset_of` a run, compressed and with checksums."""
-    write_dataset(dataset_of(report), path)
+    """Write `dataset_on_mesh` of a run, compressed and with checksums."""
+    write_dataset(dataset_on_mesh(report), path)
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:

@@ -263,7 +263,7 @@ class Scene(Displayed):
         Raises
         ------
         MissingExtraError
-            If matplotlib, xarray or h5netcdf is not installed.
+            If matplotlib, h5netcdf or h5py is not installed.
         """
         folder = folder_at("folder", as_path("folder", folder))
         drawn = [f"{name}.png" for name in pictures.pictures_of(self)]

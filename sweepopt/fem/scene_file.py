@@ -535,15 +535,26 @@ def compare_effects(
     >>> table.path["all effects"], table.path["without friction"]
     ('proportional', 'linear')
     """
-    with brought_by("fem"):  # with xarray
+    with brought_by("study"):
         import pandas as pd
+    costs = effect_costs(source, changes=changes, without=without, steps=steps)
+    return pd.DataFrame.from_dict(costs, orient="index")
+
+
+def effect_costs(
+    source: str | Path | Mapping[str, Any],
+    changes: Mapping[str, Any] | None,
+    without: Sequence[str],
+    steps: int,
+) -> dict[str, dict[str, Any]]:
+    """The rows of `compare_effects`."""
     whole = read_scene(source, changes=changes, without=without)
     costs = {"all effects": _cost(whole, count("steps", steps))}
     for name in whole.tables:
         with suppress(InputError):  # the scene cannot be without it
             scene = read_scene(source, changes=changes, without=[*names_of(without), name])
             costs[f"without {name}"] = _cost(scene, steps)
-    return pd.DataFrame.from_dict(costs, orient="index")
+    return costs
 
 
 def _cost(scene: Scene, steps: int) -> dict[str, Any]:
@@ -559,8 +570,8 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
         "nonzeros_B": nonzeros[1],
         "path": plan.path,
         "solvers": ", ".join(sorted(set(stats["solver"].tolist()) - {"linear"})),
-        "seconds": np.median(stats["seconds"]),
-        "certificate": stats["relative"].max(),
+        "seconds": float(np.median(stats["seconds"])),
+        "certificate": float(stats["relative"].max()),
     }
 
 

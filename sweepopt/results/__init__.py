@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from sweepopt.results.dataset import (
+    Dataset,
     StateFiles,
+    dataset_of,
     field_names,
     netcdf_package,
     open_run,
+    read,
     software,
     solver_name,
+    variable,
     write_dataset,
 )
 from sweepopt.results.error_bound import ErrorBound, require_bound

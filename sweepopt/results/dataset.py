@@ -1,6 +1,7 @@
 """Solutions as NetCDF files and xarray datasets, every variable with its unit and name.
 
-`StateFiles` takes the states of a long run while it goes, so that they are not in memory.
+Files are written and read by h5netcdf; only `to_xarray` needs xarray. `StateFiles` takes the
+states of a long run while it goes, so that they are not in memory.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from io import FileIO
 from os import PathLike
 from pathlib import Path
@@ -131,7 +133,7 @@ class StateFiles:
         try:
             if not self.failure:
                 file = self._path if succeeded else part_of(self._path)
-                write_dataset(to_xarray(solution), file)
+                write_dataset(dataset_of(solution), file)
         except (Exception, KeyboardInterrupt) as error:  # the run is not lost with its file
             self.failure = getattr(error, "strerror", "") or repr(error)
 
@@ -146,11 +148,31 @@ def netcdf_package() -> Any:
     with brought_by("fem"):
         import h5netcdf
         import h5py  # noqa: F401  # h5netcdf alone cannot write
-        import xarray  # noqa: F401
     return h5netcdf
 
 
-def write_dataset(dataset: xr.Dataset, path: Path) -> None:
+Variable = tuple[tuple[str, ...], Any, dict[str, str]]
+
+
+@dataclass
+class Dataset:
+    """Named arrays on named dimensions, as a NetCDF file has them.
+
+    Attributes
+    ----------
+    variables : dict of str to tuple
+        Dimensions, values and attributes, what xarray.Dataset takes.
+    attributes : dict of str
+    coordinates : set of str
+        Variables that say where the others are, beside those named as a dimension.
+    """
+
+    variables: dict[str, Variable]
+    attributes: dict[str, Any]
+    coordinates: set[str]
+
+
+def write_dataset(dataset: Dataset, path: Path) -> None:
     """Replace a file by one of the dataset, compressed and with checksums.
 
     Raises
@@ -183,41 +205,51 @@ def _check(path: Path) -> None:
         )
 
 
-def _dump(dataset: xr.Dataset, file: Any) -> None:
+def _dump(dataset: Dataset, file: Any) -> None:
     """Write a dataset into an open file."""
-    from xarray.backends import H5NetCDFStore
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+    for name, (dimensions, values, attributes) in dataset.variables.items():
+        values = np.asarray(values)
+        if values.dtype.kind == "O":  # text as characters, as strings have no checksum
+            texts = np.char.encode(values.astype(str), "utf-8")
+            values = texts[..., None].view("S1")
+            dimensions = (*dimensions, f"string{values.shape[-1]}")
+            attributes = attributes | {"_Encoding": "utf-8"}
+        for dimension, size in zip(dimensions, values.shape, strict=True):
+            if dimension not in file.dimensions:
+                file.dimensions[dimension] = size
+        stored = file.create_variable(name, dimensions, values.dtype, values, **packed)
+        stored.attrs.update(attributes)
+    file.attrs.update(dataset.attributes | {"coordinates": " ".join(sorted(dataset.coordinates))})
 
-    packed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-    # text as characters, as strings have no checksum
-    encoding = {
-        name: packed | ({"dtype": "S1"} if x.dtype.kind in "OU" else {})
-        for name, x in dataset.variables.items()
-        if x.ndim
-    }
-    dataset.dump_to_store(H5NetCDFStore(file), encoding=encoding)
+
+def read(variable: Any) -> Array:
+    """The values of a variable in a file of `open_run`; characters as texts."""
+    values = np.asarray(variable[...])
+    if values.dtype.kind != "S":
+        return values
+    return np.char.decode(values.view(f"S{values.shape[-1]}")[..., 0], "utf-8")
 
 
-def open_run(path: str | PathLike[str]) -> xr.Dataset:
-    """What was written of a run by `write_dataset`; close it, or use it by with.
+def open_run(path: str | PathLike[str]) -> Any:
+    """What was written of a run by `write_dataset`, an h5netcdf.File to be used by with.
 
     Raises
     ------
     InputError
         If there is no such file.
     MissingExtraError
-        If h5netcdf or xarray is not installed.
+        If h5netcdf or h5py is not installed.
     DamagedFileError
         If it is not as it was written, by its checksum.
     """
-    netcdf_package()
-    import xarray
-
+    package = netcdf_package()
     file_of_run = as_path("path", path)
     if not os.path.isfile(file_of_run):  # False for a name that is too long, too
         remedy = "; it is a folder, name the file in it" if os.path.isdir(file_of_run) else ""
         raise InputError(f"path: there is no file {path!s:.300}{remedy}")
     _check(file_of_run)
-    return xarray.open_dataset(file_of_run, engine="h5netcdf")
+    return package.File(file_of_run, "r")
 
 
 # ---- datasets -----------------------------------------------------------------------------------
@@ -232,34 +264,33 @@ STATISTICS = {
 }
 
 
-def to_xarray(solution: Solution) -> xr.Dataset:
-    """A solution as a dataset: u, velocity and the statistics of each step.
+def variable(dimensions: str, values: Any, words: str, unit: str) -> Variable:
+    """One of a dataset; of several dimensions with blanks between them."""
+    return tuple(dimensions.split()), values, {"long_name": words, "units": unit}
 
-    Raises
-    ------
-    MissingExtraError
-        If xarray is not installed.
-    """
-    with brought_by("fem"):
-        import xarray
+
+def dataset_of(solution: Solution) -> Dataset:
+    """A solution as a dataset: u, velocity and the statistics of each step."""
     kept, stats, plan = "step" if solution.complete else "kept_step", solution.stats, solution.plan
-    variables: dict[str, tuple[Any, Any, str]] = {
+    process = solution.process
+    rows: dict[str, tuple[str, Any, str]] = {
         **{name: ("step", stats[name], words) for name, words in STATISTICS.items()},
+        "solver": ("step", stats["solver"].astype(object), STATISTICS["solver"]),
         "viability": ("step", solution.viability(), "bound of the distance of its force to C"),
         "time": ("time", solution.t, "time"),
         "step": ("step", np.arange(len(stats)), "step, counted from 0"),
         "step_end": ("step", stats["t"], "time at the end of the step"),
         kept: (kept, solution.steps, "step, counted from 0"),
-        "unknown": ("unknown", np.arange(solution.process.dim), "unknown"),
-        "u": (("time", "unknown"), solution.u, "u_n at the kept grid times"),
-        "velocity": ((kept, "unknown"), solution.velocity, "velocity u_n' in each kept step"),
+        "unknown": ("unknown", np.arange(process.dim), "unknown"),
+        "u": ("time unknown", solution.u, "u_n at the kept grid times"),
+        "velocity": (f"{kept} unknown", solution.velocity, "velocity u_n' in each kept step"),
     }
-    run = xarray.Dataset(
+    if process.fields:
+        names = field_names(process.fields, process.dim)
+        rows["field"] = "unknown", names, "field of the unknown"
+    return Dataset(
+        {name: variable(*row, "s" if name == "seconds" else "1") for name, row in rows.items()},
         {
-            name: (dims, values, {"long_name": words, "units": "s" if name == "seconds" else "1"})
-            for name, (dims, values, words) in variables.items()
-        },
-        attrs={
             "title": "A sweeping process",
             "software": ", ".join(map(" ".join, software(solution).items())),
             "status": solution.status.name.lower(),
@@ -267,15 +298,26 @@ def to_xarray(solution: Solution) -> xr.Dataset:
             "scheme": plan.scheme.name,
             "solver": solver_name(solution),
             "tol": plan.tol,
-            "unknowns_digest": solution.process.unknowns_digest,
-            "problem": json.dumps(fingerprint(solution.process, solution.t)),
+            "unknowns_digest": process.unknowns_digest,
+            "problem": json.dumps(fingerprint(process, solution.t)),
         },
+        {"step_end", "field"} & set(rows),
     )
-    run = run.assign(solver=run.solver.astype(object)).set_coords("step_end")
-    if not (fields := solution.process.fields):
-        return run
-    names = field_names(fields, solution.process.dim)
-    return run.assign_coords(field=("unknown", names, {"long_name": "field of the unknown"}))
+
+
+def to_xarray(solution: Solution) -> xr.Dataset:
+    """`dataset_of` a solution for xarray.
+
+    Raises
+    ------
+    MissingExtraError
+        If xarray is not installed.
+    """
+    with brought_by("study"):
+        import xarray
+    run = dataset_of(solution)
+    dataset = xarray.Dataset(run.variables, attrs=run.attributes)
+    return dataset.set_coords(run.coordinates).copy(deep=True)  # can be changed, as u cannot
 
 
 def field_names(fields: Mapping[str, Any], size: int) -> Array:

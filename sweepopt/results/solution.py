@@ -37,7 +37,14 @@ from sweepopt.integrate import (
 )
 from sweepopt.io import writable
 from sweepopt.problem import SweepingProcess, sweeping
-from sweepopt.results.dataset import STATISTICS, open_run, to_xarray, write_dataset
+from sweepopt.results.dataset import (
+    STATISTICS,
+    dataset_of,
+    open_run,
+    read,
+    to_xarray,
+    write_dataset,
+)
 from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of, require_bound
 from sweepopt.results.interpolation import Nodes
 from sweepopt.velocity import Plan, StepProgram, VelocityOf, compile_projection, make_plan
@@ -539,8 +546,8 @@ class Solution(Displayed):
         return np.array(values).reshape(times.shape)
 
     def to_xarray(self) -> Dataset:
-        """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
-        return to_xarray(self).copy(deep=True)  # which can be changed, as u cannot
+        """The trajectory and its statistics as an xarray.Dataset (needs the extra "study")."""
+        return to_xarray(self)
 
     @checks.with_checks
     def save(self, path: str | PathLike[str]) -> None:
@@ -548,7 +555,7 @@ class Solution(Displayed):
         file = writable("path", path)
         if file.suffix != ".nc":
             raise InputError(f"path is {shown(str(path))}; a NetCDF file must end with .nc")
-        write_dataset(to_xarray(self), file)
+        write_dataset(dataset_of(self), file)
 
     @classmethod
     @checks.with_checks
@@ -592,53 +599,59 @@ class Solution(Displayed):
         (True, True)
         """
         with open_run(path) as file:
-            run = file.load()
-        if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
+            known = dict(file.attrs)
+            data = {name: read(variable) for name, variable in file.variables.items()}
+            over_time = "u" in data and "time" in file["u"].dimensions
+        if not {"status", "scheme"} <= set(known) or "u" not in data:
             raise InputError(
                 f"{path} is no file of sol.save or save=: it has no u, status and scheme"
             )
-        if "time" not in run.u.dims:
+        if not over_time:
             raise InputError(
                 f"{path} holds the fields of a scene on its mesh, and u at the end alone: read it "
                 "with xarray.open_dataset(path, engine='h5netcdf'), and write what is to be loaded "
                 "with sol.save or save="
             )
-        u, velocity = run.u.values, run.velocity.values
-        steps = run["kept_step" if "kept_step" in run.dims else "step"].values
-        names, number = np.unique(run.solver.values.astype(str), return_inverse=True)
+        t, u, velocity = data["time"], data["u"], data["velocity"]
+        steps = data["kept_step" if "kept_step" in data else "step"]
+        names, number = np.unique(data["solver"], return_inverse=True)
         rows = np.zeros(len(number), ROW)
-        rows["t"], rows["solver"] = run.step_end, number
+        rows["t"], rows["solver"] = data["step_end"], number
         for name in STATISTICS.keys() - {"solver"}:
-            rows[name] = run[name]
-        status, scheme = Status[run.status.upper()], SCHEMES[run.scheme]
-        plan: Any = _Absent(scheme=scheme, tol=run.tol, solvers=())
+            rows[name] = data[name]
+        status, scheme, tol = (
+            Status[known["status"].upper()],
+            SCHEMES[known["scheme"]],
+            known["tol"],
+        )
+        plan: Any = _Absent(scheme=scheme, tol=tol, solvers=())
         given: Any = _Absent(dim=u.shape[1], fields={})
         if process is not None:
             given = process = sweeping(process)
             if given.dim != u.shape[1]:
                 raise InputError(f"process has dim {given.dim}, but {path} has dim {u.shape[1]}")
-            digest = run.attrs.get("unknowns_digest", given.unknowns_digest)
+            digest = known.get("unknowns_digest", given.unknowns_digest)
             if digest != given.unknowns_digest or not np.array_equal(given.u0, u[0]):
                 raise InputError(
                     f"process is not that of {path}: its unknowns or u0 are others, or an earlier "
                     "version of sweepopt wrote the file"
                 )
-            if differ := differences(json.loads(run.problem), given, run.time.values):
+            if differ := differences(json.loads(known["problem"]), given, t):
                 warn(
                     f"{', '.join(differ)} of process and of the run in {path} are not the same to "
                     "the last bit; bounds and viability are those of the process that is given",
                     CheckpointWarning,
                 )
-            plan = make_plan(process, process.check(run.time.values), scheme, "auto", run.tol)
+            plan = make_plan(process, process.check(t), scheme, "auto", tol)
         return cls(
             process=given,
             plan=plan,
-            t=run.time.values,
+            t=t,
             states=States(steps, u.__getitem__, velocity.__getitem__),
             statistics=Statistics(rows, tuple(map(str, names))),
             loaded=True,
             status=status,
-            cause=run.message.removeprefix(status.value).strip(),
+            cause=known["message"].removeprefix(status.value).strip(),
         )
 
     @checks.with_checks
