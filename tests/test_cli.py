@@ -419,6 +419,24 @@ def test_a_missing_package_is_named_before_the_run(package, extra, monkeypatch, 
 # ---- list -----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("scene")
+def test_files_and_costs_of_effects_need_neither_pandas_nor_xarray():
+    code = (
+        "import sys; sys.modules.update(pandas=None, xarray=None)\n"
+        "import sweepopt as so; from sweepopt.cli import main\n"
+        "main(['effects', 'ring.toml', '--steps', '1'])\n"
+        "sol = so.scene('ring.toml').solve(steps=2); sol.save('run.nc'); print((so.Solution.load('run.nc').u == sol.u).all())\n"
+        "try: sol.to_xarray()\n"
+        "except so.MissingExtraError as error: print(error)"
+    )
+    head, *rows, same, refused = python("-W", "error", "-c", code).stdout.splitlines()
+    assert head.split()[:2] == ["unknowns", "nonsmooth_unknowns"]
+    assert len({len(line) for line in (head, *rows)}) == 1
+    assert [row.split()[0] for row in rows] == ["all", "without", "without"]
+    assert (same, refused[:25]) == ("True", "xarray is not installed; ")
+    assert refused.endswith('"sweepopt[study]"')
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no pipe of POSIX")
 def test_a_reader_that_has_enough_of_the_list_ends_it_without_a_word():
     code = (
