@@ -425,7 +425,8 @@ def test_files_and_costs_of_effects_need_neither_pandas_nor_xarray():
         "import sys; sys.modules.update(pandas=None, xarray=None)\n"
         "import sweepopt as so; from sweepopt.cli import main\n"
         "main(['effects', 'ring.toml', '--steps', '1'])\n"
-        "sol = so.scene('ring.toml').solve(steps=2); sol.save('run.nc'); print((so.Solution.load('run.nc').u == sol.u).all())\n"
+        "sol = so.scene('ring.toml').solve(steps=2)\n"
+        "sol.save('run.nc'); print((so.Solution.load('run.nc').u == sol.u).all())\n"
         "try: sol.to_xarray()\n"
         "except so.MissingExtraError as error: print(error)"
     )
