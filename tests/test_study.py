@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from distributed import LocalCluster
 from processes import started
 from reference_cases import case
 from test_cli import make_scene
@@ -293,15 +292,17 @@ def test_a_scene_that_starts_from_a_run_is_another_when_the_run_is(tmp_path):
 # ---- executors ------------------------------------------------------------------------------
 
 
+def local_cluster(workers, **settings):
+    """A dask cluster, of which the extra test has none."""
+    distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+    return distributed.LocalCluster(workers, **{"threads_per_worker": 1} | settings)
+
+
 @pytest.fixture(scope="module")
 def cluster():
     """The address of a dask cluster that gives up what workers died of, or beside, twice."""
-    with LocalCluster(
-        2,
-        threads_per_worker=1,
-        dashboard_address=None,
-        scheduler_kwargs={"allowed_failures": 1},
-    ) as there:
+    giving_up = {"allowed_failures": 1}
+    with local_cluster(2, dashboard_address=None, scheduler_kwargs=giving_up) as there:
         yield there.scheduler_address
 
 
@@ -310,7 +311,7 @@ def test_the_command_computes_the_same_rows_on_a_scheduler(small, tmp_path, monk
     text = TEXT.replace('"V05"', '"M16"').replace("[14, 20]", "[8, 16]").replace(', "daqp"', "")
     Path("small.toml").write_text(text, encoding="utf-8")
     # a thread in place of a worker's process, which takes seconds to start; .ci/run has processes
-    with LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=None) as there:
+    with local_cluster(1, processes=False, dashboard_address=None) as there:
         address = there.scheduler_address
         assert main(["study", "small.toml", "--out", "out", "--scheduler", address]) == 0
         assert there.scheduler.transition_counter >= 8  # cells
@@ -318,7 +319,8 @@ def test_the_command_computes_the_same_rows_on_a_scheduler(small, tmp_path, monk
 
 
 def test_a_cluster_that_is_not_there_or_shares_time_is_refused():
-    with LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as there:
+    shared = {"threads_per_worker": 2, "processes": False, "dashboard_address": ":0"}
+    with local_cluster(1, **shared) as there:
         for address, words in (
             (there.scheduler_address, "has 2 threads, .* --nthreads 1"),
             ("nowhere", "scheduler 'nowhere' does not answer"),

@@ -341,7 +341,7 @@ def dask_executor(client: Any) -> Iterator[Executor]:
     Workers read scenes in the files of the machine that runs the study. If a worker dies, another
     one computes its cells.
     """
-    with brought_by("study"):
+    with brought_by("dask"):
         from distributed import Client
     try:
         connected = Client(client, timeout=10) if isinstance(client, str) else nullcontext(client)
