@@ -393,6 +393,23 @@ def test_a_run_of_another_scene_is_no_start(tmp_path):
                 read_scene(other, changes=start(tmp_path / name, more))
 
 
+def test_a_run_whose_other_half_was_plastic_is_no_start(tmp_path):
+    halves = {"left": lambda x: x[0] < 0.5, "right": lambda x: x[0] > 0.5}
+    space = Discretisation(
+        grid([1.0, 1.0], [2, 2]).with_subdomains(halves), "bottom", kind="plane strain"
+    )
+    elastic = [Viscosity(1.0), Elasticity(E=3.0, nu=0.3)]
+
+    def plastic(half, u0=None):
+        return body(space, [*elastic, Plasticity(1.0, Hk=3.0, on=half)], u0=u0)
+
+    run = Initial(run=tmp_path / "run.nc")
+    plastic("left").solve(t_end=1.0, steps=1, save=run.run)
+    assert not plastic("left", run).problem.u0.any()
+    with pytest.raises(InputError, match=r"run: .* is of another mesh .* other cells are plastic"):
+        plastic("right", run)
+
+
 def test_a_start_is_a_formula_of_each_component(tmp_path):
     parts = [{"along": "y", "at": [0, 1], "values": [0, 0.01]}, 0.0, "0.02 * x * y"]
     scene = read_scene(SOLID, changes={"initial": {"u": parts}})

@@ -87,8 +87,8 @@ class Initial(Record):
         if digest_of_run not in ("", digest):
             raise InputError(
                 f"run: {path} is of another mesh or an earlier version of sweepopt, or other "
-                "components are held or turned (by friction), or moduli differ in a body with "
-                "isotropic hardening; take a run of this body"
+                "components are held or turned (by friction), other cells are plastic, or moduli "
+                "differ in a body with isotropic hardening; take a run of this body"
             )
         return last
 

@@ -449,7 +449,10 @@ def build(
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size)
-    digest = space.digest(*[one.slopes for one in yields if one.slopes is not None])
+    known = [one.slopes for one in yields if one.slopes is not None]
+    if internal and B is not None:  # which u each internal unknown belongs to
+        known.append(sp.csc_array(B)[: space.dim, space.dim :].sorted_indices().indices)
+    digest = space.digest(*known)
     if isinstance(u0, Initial):
         with at_path("initial."):
             u0 = u0.state(space, fields, size, digest)
