@@ -450,7 +450,7 @@ def build(
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size)
     known = [one.slopes for one in yields if one.slopes is not None]
-    if internal and B is not None:  # which u each internal unknown belongs to
+    if size > space.dim and B is not None:  # which u each internal unknown belongs to
         known.append(sp.csc_array(B)[: space.dim, space.dim :].sorted_indices().indices)
     digest = space.digest(*known)
     if isinstance(u0, Initial):
