@@ -233,6 +233,7 @@ class Scene(Displayed):
             field = field + np.multiply.outer(values(history), d[nodes])
         return field
 
+    @with_checks
     def solve(self, **changes: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
         from sweepopt.driver import solve

@@ -14,7 +14,7 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.checks import Array
-from sweepopt.display import Displayed, Rows, by_parts, evenly, svg
+from sweepopt.display import Displayed, Rows, as_lines, brief, evenly, svg
 from sweepopt.errors import (
     BoundWarning,
     CheckpointWarning,
@@ -100,7 +100,11 @@ class Energy(NamedTuple):
     work: Array
 
     def __repr__(self) -> str:
-        return by_parts(self)
+        rows = ((name, brief(one)) for name, one in self._asdict().items())
+        return as_lines([*rows, ("balance", brief(self.balance))])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self}</pre>"
 
     @property
     def balance(self) -> Array:
