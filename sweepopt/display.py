@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
-from inspect import isroutine, signature
+from inspect import isfunction, isroutine, signature
 from itertools import chain, cycle
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from sweepopt.checks import with_checks
 from sweepopt.errors import InputError
 
 Rows = Iterable[tuple[str, object]]
@@ -108,11 +109,20 @@ class Brief:
 
 
 class Displayed(Brief):
-    """The base of what shows itself by names and values that are known: nothing is computed."""
+    """The base of what shows itself by names and values that are known: nothing is computed.
+
+    Its methods name their arguments where they are called with others.
+    """
 
     _rows: Callable[[], Rows]
     _instead: ClassVar[Mapping[str, str]] = {}
     """Names that users try, and what stands here for them."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for name, method in [*vars(cls).items()]:
+            if isfunction(method) and name[0] != "_":
+                setattr(cls, name, with_checks(method))
 
     if not TYPE_CHECKING:  # to a type checker no other attribute exists
 

@@ -63,6 +63,7 @@ TRIED = {
     "z": "the velocities are velocity, one row a step",
     "error": "a bound of the error is error_bound()",
     "t_end": "it ends at t[-1]",
+    **dict.fromkeys(("to_csv", "to_dataframe"), "to_xarray() is a dataset, u and t are arrays"),
     "stress": "stresses of a body are scene.stress(sol)",
     "certificate": "certificates are stats['certificate'], one a step",
 }
@@ -392,7 +393,6 @@ class Solution(Displayed):
             tableau = implicit_euler(tableau.euler_steps)
         return program_of_stage(self.process, t, u, end - t, tableau, stage)
 
-    @checks.with_checks
     def viability(self, t: Any = None) -> Array:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
@@ -440,7 +440,6 @@ class Solution(Displayed):
     def _projection(self) -> VelocityOf:
         return compile_projection(self.plan, self.process.metric)
 
-    @checks.with_checks
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
@@ -546,7 +545,6 @@ class Solution(Displayed):
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
         return to_xarray(self).copy(deep=True)  # which can be changed, as u cannot
 
-    @checks.with_checks
     def save(self, path: str | PathLike[str]) -> None:
         """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does."""
         file = writable("path", path)
@@ -645,7 +643,6 @@ class Solution(Displayed):
             cause=run.message.removeprefix(status.value).strip(),
         )
 
-    @checks.with_checks
     def plot(self, ax: Axes | None = None) -> Axes:
         """Components of u_n over time, stick phases shaded (needs the extra "plot").
 
@@ -656,7 +653,6 @@ class Solution(Displayed):
 
         return plot_solution(self, ax)
 
-    @checks.with_checks
     def animate(self, path: str | Path = "solution.gif") -> Path:
         """Write `plot` as an animation in which the time, u, the force and C(t) move.
 
@@ -677,7 +673,6 @@ class Solution(Displayed):
 
         return animate_solution(self, path)
 
-    @checks.with_checks
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.
 
