@@ -26,7 +26,6 @@ from sweepopt.checks import (
     symmetric,
     tolerance,
     vector,
-    with_checks,
 )
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, result_of, shown
@@ -233,15 +232,14 @@ class Scene(Displayed):
             field = field + np.multiply.outer(values(history), d[nodes])
         return field
 
-    def solve(self, **changes: Any) -> Solution:
+    def solve(self, **arguments: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
         from sweepopt.driver import solve
 
         names = ("t_end", "steps", "scheme", "solver", "tol", "path")
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}
-        return solve(self.problem, **(settings | changes))
+        return solve(self.problem, **(settings | arguments))
 
-    @with_checks
     def plot(self, solution: Solution, picture: str = "") -> Any:
         """A picture of a run, one of PICTURES; by default the first that fits.
 
@@ -256,7 +254,6 @@ class Scene(Displayed):
         """
         return pictures.draw(output.Report(self, solution), picture)
 
-    @with_checks
     def write(self, solution: Solution, folder: str | Path) -> Path:
         """Write what `sweepopt run` writes: pictures, NetCDF, VTU and a summary; the folder.
 
@@ -270,7 +267,6 @@ class Scene(Displayed):
         output.write(output.Report(self, solution, name=folder.name), folder, drawn)
         return folder
 
-    @with_checks
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
         """Write a run as an animation of at most 50 kept steps that end at even times.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.checks import Array
-from sweepopt.display import Displayed, Rows, by_parts, evenly, svg
+from sweepopt.display import Displayed, Rows, as_lines, brief, evenly, svg
 from sweepopt.errors import (
     BoundWarning,
     CheckpointWarning,
@@ -70,6 +70,7 @@ TRIED = {
     "z": "the velocities are velocity, one row a step",
     "error": "a bound of the error is error_bound()",
     "t_end": "it ends at t[-1]",
+    **dict.fromkeys(("to_csv", "to_dataframe"), "to_xarray() is a dataset, u and t are arrays"),
     "stress": "stresses of a body are scene.stress(sol)",
     "certificate": "certificates are stats['certificate'], one a step",
 }
@@ -107,7 +108,11 @@ class Energy(NamedTuple):
     work: Array
 
     def __repr__(self) -> str:
-        return by_parts(self)
+        rows = ((name, brief(one)) for name, one in self._asdict().items())
+        return as_lines([*rows, ("balance", brief(self.balance))])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self}</pre>"
 
     @property
     def balance(self) -> Array:
@@ -395,7 +400,6 @@ class Solution(Displayed):
             tableau = implicit_euler(tableau.euler_steps)
         return program_of_stage(self.process, t, u, end - t, tableau, stage)
 
-    @checks.with_checks
     def viability(self, t: Any = None) -> Array:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
@@ -443,7 +447,6 @@ class Solution(Displayed):
     def _projection(self) -> VelocityOf:
         return compile_projection(self.plan, self.process.metric)
 
-    @checks.with_checks
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
@@ -549,7 +552,6 @@ class Solution(Displayed):
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "study")."""
         return to_xarray(self)
 
-    @checks.with_checks
     def save(self, path: str | PathLike[str]) -> None:
         """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does."""
         file = writable("path", path)
@@ -654,7 +656,6 @@ class Solution(Displayed):
             cause=known["message"].removeprefix(status.value).strip(),
         )
 
-    @checks.with_checks
     def plot(self, ax: Axes | None = None) -> Axes:
         """Components of u_n over time, stick phases shaded (needs the extra "plot").
 
@@ -665,7 +666,6 @@ class Solution(Displayed):
 
         return plot_solution(self, ax)
 
-    @checks.with_checks
     def animate(self, path: str | Path = "solution.gif") -> Path:
         """Write `plot` as an animation in which the time, u, the force and C(t) move.
 
@@ -686,7 +686,6 @@ class Solution(Displayed):
 
         return animate_solution(self, path)
 
-    @checks.with_checks
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.
 
