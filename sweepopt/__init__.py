@@ -9,15 +9,11 @@ when it is first used.
 
 from __future__ import annotations
 
-from functools import wraps
 from importlib import import_module
 from inspect import unwrap
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from sweepopt import fem
     from sweepopt.driver import resume, solve
     from sweepopt.errors import (
@@ -172,7 +168,6 @@ _ROOMS = (
 """Where the names are, those first that need little; the last three are names themselves."""
 
 
-F = TypeVar("F")
 _MEANT = {
     **dict.fromkeys(("interval", "segment", "rectangle", "cube"), "Box"),
     **dict.fromkeys(("circle", "disc", "disk", "sphere"), "Ball"),
@@ -207,35 +202,15 @@ def __dir__() -> list[str]:
     return [*__all__, *_ROOMS[-3:], "__doc__", "__version__"]
 
 
-def _by_read_scene(face: F) -> F:
-    """A function that is done by `fem.read_scene`, imported at its first call."""
-
-    @wraps(cast("Any", face))
-    def read(*source: Any, **options: Any) -> Any:
-        from sweepopt.checks import with_checks
-        from sweepopt.fem import read_scene
-
-        return with_checks(unwrap(read_scene), face)(*source, **options)
-
-    return cast("F", read)
-
-
-@_by_read_scene
-def scene(  # type: ignore[empty-body]
-    source: str | Path | Mapping[str, Any],
-    *,
-    folder: str | Path = ".",
-    changes: Mapping[str, Any] | None = None,
-    without: Sequence[str] = (),
-) -> fem.Scene:
+def scene(*source: Any, **options: Any) -> fem.Scene:
     """Read a scene: `sweepopt.fem.read_scene`, whose help lists all keys of scene files.
 
     Parameters
     ----------
     source : str, Path or mapping
         A name from `list_scenes`, the path of a TOML file, or TOML text.
-    folder, changes, without
-        As of `read_scene`, such as ``changes={"effects.friction.g": 0.5}``.
+    **options
+        Those of `read_scene`, such as ``changes={"effects.friction.g": 0.5}``.
 
     Returns
     -------
@@ -247,3 +222,7 @@ def scene(  # type: ignore[empty-body]
     >>> so.scene("pipe").problem.dim > 100
     True
     """
+    from sweepopt.checks import with_checks
+    from sweepopt.fem import read_scene
+
+    return with_checks(unwrap(read_scene), scene)(*source, **options)

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
-from inspect import isfunction, isroutine, signature
-from itertools import chain, cycle
+from inspect import isroutine, signature
+from itertools import cycle
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sweepopt.checks import with_checks
 from sweepopt.errors import InputError
 
 Rows = Iterable[tuple[str, object]]
@@ -89,12 +88,10 @@ class Brief:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set once: what was computed of a value would not follow another one."""
-        kind, kinds = type(self).__name__, type(self).__mro__
         ours = type(self).__module__.partition(".")[0] == __package__
         if ours and name in vars(self) and name[0] != "_":
-            declared = (vars(one).get("__annotations__", ()) for one in kinds)
-            if name in {*arguments(self), *dir(self.__class__), *chain(*declared)}:  # no user's own
-                raise InputError(f"{name} of {kind} cannot be changed; make a new {kind} with it")
+            kind = type(self).__name__
+            raise InputError(f"{name} of {kind} cannot be changed; make a new {kind} with it")
         super().__setattr__(name, value)
 
     def __repr__(self) -> str:
@@ -109,20 +106,11 @@ class Brief:
 
 
 class Displayed(Brief):
-    """The base of what shows itself by names and values that are known: nothing is computed.
-
-    Its methods name their arguments where they are called with others.
-    """
+    """The base of what shows itself by names and values that are known: nothing is computed."""
 
     _rows: Callable[[], Rows]
     _instead: ClassVar[Mapping[str, str]] = {}
     """Names that users try, and what stands here for them."""
-
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
-        for name, method in [*vars(cls).items()]:
-            if isfunction(method) and name[0] != "_":
-                setattr(cls, name, with_checks(method))
 
     if not TYPE_CHECKING:  # to a type checker no other attribute exists
 

@@ -26,6 +26,7 @@ from sweepopt.checks import (
     symmetric,
     tolerance,
     vector,
+    with_checks,
 )
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, result_of, shown
@@ -156,6 +157,7 @@ class Scene(Displayed):
         if vars(solution.process).get("unknowns_digest", digest) != digest:
             raise InputError("solution is of another mesh or clamping; give a run of this scene")
 
+    @with_checks
     def displacement(self, solution: Solution, t: ArrayLike | None = None) -> Array:
         """u at all nodes, shape (k, N), or (k, N, components) of vectors.
 
@@ -232,6 +234,7 @@ class Scene(Displayed):
             field = field + np.multiply.outer(values(history), d[nodes])
         return field
 
+    @with_checks
     def solve(self, **arguments: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
         from sweepopt.driver import solve
@@ -240,6 +243,7 @@ class Scene(Displayed):
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}
         return solve(self.problem, **(settings | arguments))
 
+    @with_checks
     def plot(self, solution: Solution, picture: str = "") -> Any:
         """A picture of a run, one of PICTURES; by default the first that fits.
 
@@ -254,6 +258,7 @@ class Scene(Displayed):
         """
         return pictures.draw(output.Report(self, solution), picture)
 
+    @with_checks
     def write(self, solution: Solution, folder: str | Path) -> Path:
         """Write what `sweepopt run` writes: pictures, NetCDF, VTU and a summary; the folder.
 
@@ -267,6 +272,7 @@ class Scene(Displayed):
         output.write(output.Report(self, solution, name=folder.name), folder, drawn)
         return folder
 
+    @with_checks
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
         """Write a run as an animation of at most 50 kept steps that end at even times.
 

@@ -137,11 +137,6 @@ class SweepingProcess(Displayed):
     0.5
     """
 
-    dim: int
-    C: AnySet
-    metric: Factor
-    coercive: bool
-    rate_independent: bool
     time_scale = 0.0
     moved = False  # whether a body's boundaries are moved by data, whose work is in no load
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it

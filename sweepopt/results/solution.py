@@ -245,6 +245,7 @@ class Solution(Displayed):
         """
         return self.statistics.table()
 
+    @checks.with_checks
     def field(self, name: str) -> Field:
         """The unknowns that `fields` of the process calls so.
 
@@ -400,6 +401,7 @@ class Solution(Displayed):
             tableau = implicit_euler(tableau.euler_steps)
         return program_of_stage(self.process, t, u, end - t, tableau, stage)
 
+    @checks.with_checks
     def viability(self, t: Any = None) -> Array:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
@@ -447,6 +449,7 @@ class Solution(Displayed):
     def _projection(self) -> VelocityOf:
         return compile_projection(self.plan, self.process.metric)
 
+    @checks.with_checks
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
@@ -548,10 +551,12 @@ class Solution(Displayed):
             values.append(measure(z, force, self.process.set_at(float(time), u)))
         return np.array(values).reshape(times.shape)
 
+    @checks.with_checks
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "study")."""
         return to_xarray(self)
 
+    @checks.with_checks
     def save(self, path: str | PathLike[str]) -> None:
         """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does."""
         file = writable("path", path)
@@ -656,6 +661,7 @@ class Solution(Displayed):
             cause=known["message"].removeprefix(status.value).strip(),
         )
 
+    @checks.with_checks
     def plot(self, ax: Axes | None = None) -> Axes:
         """Components of u_n over time, stick phases shaded (needs the extra "plot").
 
@@ -666,6 +672,7 @@ class Solution(Displayed):
 
         return plot_solution(self, ax)
 
+    @checks.with_checks
     def animate(self, path: str | Path = "solution.gif") -> Path:
         """Write `plot` as an animation in which the time, u, the force and C(t) move.
 
@@ -686,6 +693,7 @@ class Solution(Displayed):
 
         return animate_solution(self, path)
 
+    @checks.with_checks
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.
 
