@@ -270,7 +270,7 @@ def test_rows_that_are_nearly_dependent_are_followed(seed):
     C = so.Moving(so.Polytope(V), so.Separable(load))
     u0 = np.linalg.solve(B, C.at(0.0).project(np.zeros(3)))
     process = so.SweepingProcess(0 * B, B, C, u0)
-    # rounding times the condition is 2e-11, and what is seen 5e-12 to 2e-11, by the processor
+    # rounding times the condition is 2e-11, and which part of it is seen depends on the processor
     follows_the_inclusion(process, 3.0, rounding=1e-10)
 
 
