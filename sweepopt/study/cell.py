@@ -11,6 +11,7 @@ import platform
 import re
 import time as clock
 import warnings
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache, lru_cache, partial
 from math import inf, nan
@@ -22,7 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from sweepopt.checks import Array
 from sweepopt.driver import solve
-from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning
+from sweepopt.errors import BoundWarning, InputError, SweepoptError, SweepoptWarning
 from sweepopt.io import versions_of
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
@@ -303,3 +304,9 @@ def machine() -> str:
     packages = ", ".join(map(" ".join, versions_of().items()))
     system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
     return f"{name}, {system}; {packages}"
+
+
+def require(table: Any, columns: Iterable[str] = CellRow._fields, of: str = "a study") -> None:
+    """Refuse what is no such table."""
+    if missing := [name for name in columns if name not in getattr(table, "columns", ())]:
+        raise InputError(f"table lacks the columns {missing}; pass the table of {of} as it is")

@@ -24,7 +24,7 @@ from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
-from sweepopt.study.diagram import require
+from sweepopt.study.cell import require
 from sweepopt.study.problems import Source, find_source, open_source
 from sweepopt.velocity import (
     DAQP,

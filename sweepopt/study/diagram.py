@@ -6,7 +6,7 @@ Cells that have no place on logarithmic axes are not left out: an error of 0 lie
 of its panel, a cell that failed or of which neither error nor bound is known above them.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -18,7 +18,7 @@ from sweepopt.display import COLOURS
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
 from sweepopt.results import ErrorBound, Solution
-from sweepopt.study.cell import CellRow, guaranteed_bound
+from sweepopt.study.cell import guaranteed_bound, require
 from sweepopt.study.problems import body_name
 
 COLUMNS = 3
@@ -70,12 +70,6 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
     ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
     return ax.figure.axes[0]
-
-
-def require(table: Any, columns: Iterable[str] = CellRow._fields, of: str = "a study") -> None:
-    """Refuse what is no such table."""
-    if missing := [name for name in columns if name not in getattr(table, "columns", ())]:
-        raise InputError(f"table lacks the columns {missing}; pass the table of {of} as it is")
 
 
 def points(table: DataFrame, x: str) -> DataFrame:

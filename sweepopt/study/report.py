@@ -26,9 +26,9 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError, Status, SweepoptWarning
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
-from sweepopt.study.cell import machine, solution_of
+from sweepopt.study.cell import machine, require, solution_of
 from sweepopt.study.comparison import FORMAT
-from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, require, trajectories
+from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.study import Study
 
