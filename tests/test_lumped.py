@@ -106,17 +106,6 @@ def test_a_chain_that_slides_creeps_at_the_speed_of_its_loader(nodes):
     assert (scene.velocity(solution)[0] == 0.0).all()  # it starts at rest, exactly
 
 
-def test_no_block_of_a_one_way_chain_goes_back():
-    data = scene_data("chain")
-    data["domain"]["mesh"]["nodes"] = 20
-    data["time"]["steps"] = 120
-    free = read_scene(data)
-    assert free.velocity(free.solve()).min() < -0.5
-    data["effects"]["one_way"] = {"on": "body"}
-    bound = read_scene(data)
-    assert bound.velocity(bound.solve()).min() == 0.0
-
-
 def test_the_map_of_slip_has_sticking_blocks_white():
     scene = read_scene(chain_data(20, 2.0, 40))
     report = Report(scene, scene.solve())

@@ -56,9 +56,18 @@ def lay_out(figure):
     assert not any(one.overlaps(other) for one, other in combinations(titles, 2))
 
 
+def drawn(panel, kind):
+    """What a panel has of a kind, the uppermost last."""
+    return [one for one in panel.collections if isinstance(one, kind)]
+
+
+def words(texts):
+    return [text.get_text() for text in texts]
+
+
 def contact_drawn(panel):
     """Points of the contact boundary and their colours: the uppermost ones."""
-    points = [one for one in panel.collections if isinstance(one, PathCollection)][-1]
+    points = drawn(panel, PathCollection)[-1]
     return points.get_offsets(), [to_hex(colour) for colour in points.get_facecolors()]
 
 
@@ -72,8 +81,9 @@ def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(run):
     assert times[-1] == 6.0
     steps = [round(10 * t) for t in times]
     for panel, i in zip(panels, steps, strict=True):
-        field = next(one for one in panel.collections if isinstance(one, TriMesh))
-        assert_allclose(field.get_array(), scene.discretisation.expand(solution.u[i]))
+        assert_allclose(
+            drawn(panel, TriMesh)[0].get_array(), scene.discretisation.expand(solution.u[i])
+        )
         assert panel.get_aspect() == 1.0
         points, colours = contact_drawn(panel)
         assert_array_equal(points, scene.contact.points)
@@ -94,7 +104,7 @@ def test_a_body_at_rest_without_friction_has_a_picture():
     figure = draw(report_of(scene), "displacement")
     figure.draw_without_rendering()
     (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["clamped"]
+    assert words(legend.get_texts()) == ["clamped"]
     assert figure.axes[0].yaxis.get_major_formatter()(0.5) == "0.5"
 
 
@@ -105,7 +115,7 @@ def test_contact_histories_are_those_of_the_solution(run):
     zone, moved, traction, load = figure.axes
     t, force = load.lines[0].get_data()
     assert_allclose(force / abs(force).max(), np.sin(np.pi * t / 2), atol=1e-9)
-    grid = next(item for item in zone.collections if isinstance(item, QuadMesh))
+    (grid,) = drawn(zone, QuadMesh)
     assert_array_equal(np.reshape(grid.get_array(), slip.state.T.shape), slip.state.T)
     for state, colour in STATE_COLOURS.items():
         assert to_hex(grid.cmap(grid.norm(state))) == to_hex(colour)
@@ -145,10 +155,10 @@ def test_several_boundaries_share_one_picture():
     zone, moved, *_ = figure.axes
     assert zone.get_ylabel() == "arc length along bottom, left"
     (beside,) = zone.child_axes
-    assert [text.get_text() for text in beside.get_yticklabels()] == ["bottom", "left"]
+    assert words(beside.get_yticklabels()) == ["bottom", "left"]
     begins = [line.get_ydata()[0] for line in zone.lines if line.get_color() == "white"]
     assert begins == beside.get_yticks().tolist() == pytest.approx([0.0, 1.2])
-    labels = " ".join(text.get_text() for text in moved.get_legend().get_texts())
+    labels = " ".join(words(moved.get_legend().get_texts()))
     assert "bottom" in labels
     assert "left" in labels
 
@@ -191,12 +201,12 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim):
 
 
 def test_a_legend_says_sticks_only_where_something_does():
-    def words(ax):
-        return [text.get_text() for text in ax.get_legend().get_texts()]
+    def legend_of(run):
+        return words(run.plot(Figure().add_subplot()).get_legend().get_texts())
 
     flows = so.EvolutionVI(1.0, 1.0, load=so.Separable([(so.Sine(1.0, 7.0), 1.0)]), u0=0.0)
-    assert words(so.solve(flows, t_end=1.0, steps=5).plot(Figure().add_subplot())) == ["u[0]"]
-    assert words(stick_slip(1).plot(Figure().add_subplot())) == ["u[0]", "sticks"]
+    assert legend_of(so.solve(flows, t_end=1.0, steps=5)) == ["u[0]"]
+    assert legend_of(stick_slip(1)) == ["u[0]", "sticks"]
 
 
 def test_one_unknown_is_drawn_with_its_velocity_and_the_force_inside_of_the_tube():
@@ -222,10 +232,10 @@ def test_two_unknowns_are_drawn_as_a_path_beside_the_set():
     solution = so.solve(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]), t_end=2.0, steps=40)
     path, force = solution.plot().figure.axes
     assert (path.get_xlabel(), path.get_ylabel()) == ("u[0]", "u[1]")
-    assert_array_equal(np.transpose(path.lines[0].get_data()), solution.u)
+    assert_array_equal(path.lines[0].get_xydata(), solution.u)
     for line in force.lines[1:]:
         t = float(line.get_label().removeprefix("C(t), t = "))
-        radii = np.hypot(*(np.transpose(line.get_data()) - [2.0 * t, t]).T)
+        radii = np.hypot(*(line.get_xydata() - [2.0 * t, t]).T)
         assert_allclose(radii, 1.0, atol=0.02)
     assert len(force.lines) == 6
 
@@ -237,7 +247,7 @@ LENS = so.Ball([0.0, 0.0], 1.0) & so.Ball([0.6, 0.0], 1.0)
 def test_a_set_in_the_legend_is_drawn_and_one_without_an_outline_is_not_there(C, sets):
     process = so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0])
     panel = so.solve(process, t_end=1.0, steps=2).plot().figure.axes[1]
-    drawn = [np.transpose(line.get_data()) for line in panel.lines[1:]]
+    drawn = [line.get_xydata() for line in panel.lines[1:]]
     assert len(panel.get_legend().get_texts()) == len(drawn) + 1 == sets + 1
     for points in drawn:
         from_centres = np.hypot(*points.T), np.hypot(*(points - [0.6, 0.0]).T)
@@ -342,7 +352,7 @@ def test_arrows_of_slip_have_a_scale_at_each_time_and_say_how_fast_the_longest_o
     panels, width = figure.axes[:-1], np.ptp(scene.contact.points[:, 0])
     assert len(panels) > 1
     for panel, i in zip(panels, even_steps(solution, 6), strict=False):
-        (arrows,) = (one for one in panel.collections if isinstance(one, Quiver))
+        (arrows,) = drawn(panel, Quiver)
         longest = np.hypot(arrows.U, arrows.V).max(initial=0.0) / arrows.scale
         assert longest == pytest.approx(0.08 * width if speed[i] else 0.0)
         assert panel.get_title().endswith(f", slip arrows up to {speed[i]:.2g}")
@@ -394,22 +404,22 @@ def test_a_section_that_moves_in_its_plane_is_drawn_deformed_with_its_title():
     size = np.linalg.norm(u, axis=2)
     factor = 0.1 / size.max()  # the square has length 1
     for panel, moves, sizes in zip(figure.axes, u, size, strict=False):
-        (drawn,) = (one for one in panel.collections if isinstance(one, TriMesh))
-        assert_allclose(drawn.get_array(), sizes)
+        (field,) = drawn(panel, TriMesh)
+        assert_allclose(field.get_array(), sizes)
         moved = (space.points + factor * moves)[space.triangles]
-        assert_allclose([path.vertices[:3] for path in drawn.get_paths()], moved)
-    words = f"(displacement drawn {factor:.2g} times as large)"
-    assert figure.axes[-1].get_ylabel().endswith(words)
+        assert_allclose([path.vertices[:3] for path in field.get_paths()], moved)
+    said = f"(displacement drawn {factor:.2g} times as large)"
+    assert figure.axes[-1].get_ylabel().endswith(said)
 
 
 def test_profiles_name_the_bound_of_friction(run):
     _, traction = draw(run, "profiles").axes
     bounds = [line for line in traction.lines if not line.get_label().startswith("t = ")]
-    words = [text.get_text() for text in traction.get_legend().get_texts()]
-    assert words[-1] == "bound, t = 0"
-    assert len(words) == len(traction.lines) - 1
-    drawn = np.stack([line.get_ydata() for line in bounds])
-    assert_allclose(drawn, [[0.006], [-0.006]] * np.ones_like(drawn))
+    names = words(traction.get_legend().get_texts())
+    assert names[-1] == "bound, t = 0"
+    assert len(names) == len(traction.lines) - 1
+    for line, bound in zip(bounds, (0.006, -0.006), strict=True):
+        assert_allclose(line.get_ydata(), bound)
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
