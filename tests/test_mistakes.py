@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 import sweepopt as so
+from sweepopt import fem
 from sweepopt.sets import Features
 
 BOX = so.Box(-1, 1)
@@ -29,22 +30,22 @@ def run(process=None, **others):
 
 def scene(text="", mesh="{ sizes = [1.0, 1.0], cells = [2, 2] }"):
     domain = f"[domain]\nmesh = {mesh}\n[time]\nend = 1.0\nsteps = 2\n"
-    return so.fem.read_scene(domain + text)
+    return fem.read_scene(domain + text)
 
 
 @dataclass
 class Given:
     """An effect of a user's own that contributes whatever a function of the body makes."""
 
-    make: Callable[[so.fem.Discretisation], Any]
+    make: Callable[[fem.Discretisation], Any]
 
     def contribute(self, body):
         return self.make(body)
 
 
 def contributed(make):
-    section = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "left")
-    return so.fem.body(section, [so.fem.Viscosity(1.0), Given(make)])
+    section = fem.Discretisation(fem.grid([1.0, 1.0], [2, 2]), "left")
+    return fem.body(section, [fem.Viscosity(1.0), Given(make)])
 
 
 def rubs(g=1.0, block=1, weight=None):
@@ -53,13 +54,13 @@ def rubs(g=1.0, block=1, weight=None):
     def make(body):
         E = sp.eye_array(body.dim, format="csr")
         some = np.ones(body.dim) if weight is None else weight
-        return so.fem.Contribution(yields=[so.fem.Yield(so.fem.Rows(E, block, some, "nodes"), g)])
+        return fem.Contribution(yields=[fem.Yield(fem.Rows(E, block, some, "nodes"), g)])
 
     return contributed(make)
 
 
 def matrix_of(body, value):
-    return so.fem.Contribution(A=sp.diags_array(np.full(body.dim, value)))
+    return fem.Contribution(A=sp.diags_array(np.full(body.dim, value)))
 
 
 HELD = '{ sizes = [1.0, 1.0], cells = [2, 2] }\nclamped = "left"'
@@ -67,7 +68,7 @@ VISCOUS = "[effects.viscosity]\neta = 1.0\n"
 LAPLACIAN = sp.diags_array([[-1.0] * 5, [1.0, 2, 2, 2, 2, 1], [-1.0] * 5], offsets=[-1, 0, 1])
 
 
-FORMS = (*so.__all__, *(f"fem.{name}" for name in so.fem.__all__))
+FORMS = (*so.__all__, *(f"fem.{name}" for name in fem.__all__))
 RESULTS = (
     "ConvexSet",
     "ErrorBound",
@@ -81,7 +82,7 @@ RESULTS = (
 def test_every_public_name_refuses_an_argument_that_it_does_not_have():
     for name in sorted({*FORMS} - {*RESULTS}):
         short = name.removeprefix("fem.")
-        thing = getattr(so if short == name else so.fem, short)
+        thing = getattr(so if short == name else fem, short)
         if not isinstance(thing, type) or not issubclass(thing, BaseException):
             with pytest.raises(so.InputError, match=f"{short} has no argument colour"):
                 thing(colour="red")
@@ -115,7 +116,7 @@ def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set():
 
 
 def test_an_effect_that_is_registered_as_an_object_is_named(monkeypatch):
-    monkeypatch.setitem(so.fem.EFFECTS, "given", Given(None))
+    monkeypatch.setitem(fem.EFFECTS, "given", Given(None))
     with pytest.raises(so.InputError, match=r"EFFECTS\['given'\] must be a class .*, got G"):
         scene("[effects.given]\n", HELD)
 
@@ -131,11 +132,11 @@ class Typed:
     share: float | None = None
 
     def contribute(self, body):
-        return so.fem.Contribution()
+        return fem.Contribution()
 
 
 def test_the_fields_of_a_users_effect_have_the_types_that_they_are_annotated_with(monkeypatch):
-    monkeypatch.setitem(so.fem.EFFECTS, "typed", Typed)
+    monkeypatch.setitem(fem.EFFECTS, "typed", Typed)
     right = "at = 1\nlayers = 2\nside = 'top'\nclosed = true\nshare = 0.5\n"
     table = VISCOUS + "[effects.typed]\n"
     assert Typed(1, 2, "top", True, 0.5) in scene(table + right, HELD).effects
@@ -157,7 +158,7 @@ def test_what_a_users_effect_raises_names_its_table(monkeypatch):
         def __post_init__(self):
             raise ArithmeticError("too weak")
 
-    monkeypatch.setitem(so.fem.EFFECTS, "weak", Weak)
+    monkeypatch.setitem(fem.EFFECTS, "weak", Weak)
     with pytest.raises(ArithmeticError, match="too weak") as caught:
         scene(VISCOUS + "[effects.weak]\nat = 1.0\n", HELD)
     assert caught.value.__notes__ == ["This was raised for effects.weak."]
@@ -168,22 +169,22 @@ def own_name(x):
 
 
 def test_what_a_function_in_an_effect_raises_names_the_effect_the_field_and_the_time():
-    mesh = so.fem.grid([1.0, 1.0], [2, 2])
+    mesh = fem.grid([1.0, 1.0], [2, 2])
     for effect, words in (
-        (so.fem.Friction("right", own_name), ["raised for g", r"raised for effects\[1\]"]),
-        (so.fem.BodyForce(np.sin, own_name), ["raised for f0", r"raised for effects\[1\]"]),
+        (fem.Friction("right", own_name), ["raised for g", r"raised for effects\[1\]"]),
+        (fem.BodyForce(np.sin, own_name), ["raised for f0", r"raised for effects\[1\]"]),
         (
-            so.fem.BodyForce(lambda t: own_name([t])),
+            fem.BodyForce(lambda t: own_name([t])),
             [r"given for history, at t = 0", r"raised for effects\[1\]\.history"],
         ),
         (
-            so.fem.BodyForce(np.sin, lambda x, t: own_name(x) if t else x[0]),
+            fem.BodyForce(np.sin, lambda x, t: own_name(x) if t else x[0]),
             ["raised for f0", r"given for load\(t\), at t = 0\."],
         ),
     ):
         with pytest.raises(NameError, match="nowhere") as caught:
-            so.fem.antiplane(
-                mesh, clamped="left", effects=[so.fem.Viscosity(1.0), effect], t_end=1.0, steps=2
+            fem.antiplane(
+                mesh, clamped="left", effects=[fem.Viscosity(1.0), effect], t_end=1.0, steps=2
             ).solve()
         for note, pattern in zip(caught.value.__notes__, words, strict=True):
             assert re.search(pattern, note)
@@ -197,8 +198,8 @@ def test_a_dissipation_without_0_is_named_where_the_start_moves():
 
 @pytest.mark.parametrize("form", [np.asarray, sp.dia_array, sp.coo_array, sp.csr_array])
 def test_a_matrix_of_an_effect_may_be_dense_or_have_any_sparse_format(form):
-    whole = contributed(lambda body: so.fem.Contribution(B=form(np.eye(6))))
-    free = contributed(lambda body: so.fem.Contribution(B=body.restrict(form(np.eye(9)))))
+    whole = contributed(lambda body: fem.Contribution(B=form(np.eye(6))))
+    free = contributed(lambda body: fem.Contribution(B=body.restrict(form(np.eye(9)))))
     for scene in (whole, free):
         assert_array_equal(scene.problem.B.toarray(), np.eye(6))
 
@@ -223,7 +224,7 @@ def test_an_effect_may_be_a_named_tuple(monkeypatch):
         def contribute(self, body):
             return matrix_of(body, self.k)
 
-    monkeypatch.setitem(so.fem.EFFECTS, "spring", Spring)
+    monkeypatch.setitem(fem.EFFECTS, "spring", Spring)
     given = scene(VISCOUS + "[effects.spring]\nk = 2.0\n", HELD)
     assert Spring(2.0) in given.effects
 
