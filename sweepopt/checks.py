@@ -85,7 +85,7 @@ def with_checks(function: Any, owner: Any = None) -> Any:
     return checked
 
 
-def takes(name: str, function: Any, *given: str) -> None:
+def takes(name: str, function: Any, *given: str, remedy: str = "") -> None:
     """Refuse what is no function of the given arguments, as far as its signature tells."""
     wanted = f"{name} must be a function of ({', '.join(given)}), got {shown(function)}"
     if not callable(function):
@@ -97,7 +97,7 @@ def takes(name: str, function: Any, *given: str) -> None:
         if names != [*given] and {*names} == {*given}:
             raise TypeError("the same names in another order")
     except TypeError as error:
-        raise InputError(f"{wanted} ({error})") from None
+        raise InputError(f"{wanted} ({error}){remedy}") from None
     except ValueError:  # some of other languages have no signature
         return
 

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         word, names = unknown[0], vars(options).keys() - {"command", "scene", "study"}
         known = [f"--{name}".replace("_", "-") for name in names]
-        hint = suggestion(word, known) or f"; there are: {', '.join(sorted(known))}"
+        hint = suggestion(word, known) or f"; there are: {', '.join(sorted(known)) or 'none'}"
         if word in known:
             hint = "; put it after the command"
         if not word.startswith("-"):

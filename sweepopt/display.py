@@ -61,9 +61,16 @@ def svg(curves: Sequence[np.ndarray], equal: bool = False, title: str = "") -> s
     )
 
 
+def arguments(thing: Any) -> list[str]:
+    """Names of those that made an object: of its class, and of ours that a user's is based on."""
+    kinds = type(thing).__mro__
+    ours = next(kind for kind in kinds if kind.__module__.startswith(f"{__package__}."))
+    return [*{**signature(ours).parameters, **signature(kinds[0]).parameters}]
+
+
 def by_parts(thing: Any) -> str:
     """An object by what it was made of, the parts that it still has."""
-    parts = ((name, getattr(thing, name, None)) for name in signature(type(thing)).parameters)
+    parts = ((name, getattr(thing, name, None)) for name in arguments(thing))
     none = (type(None), tuple)  # what was not given: None, or an empty list of more
     given = [(name, one) for name, one in parts if not isinstance(one, none) or one]
     operands = getattr(thing, "operands", ())

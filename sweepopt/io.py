@@ -263,7 +263,10 @@ def _find(pattern: str, name: str, what: str) -> Path:
     known = {path.stem: path for path in _problems().glob(pattern)}
     if name not in known:
         names = ", ".join(sorted(known)) or "none"
-        raise InputError(f"{name!r} is neither {what}; there are: {names}{suggestion(name, known)}")
+        near = suggestion(name, known)
+        if re.fullmatch(r"[A-Z]\d\d", name):  # a name of study/problems.py
+            near = "; small test problems such as S03 are for studies and `sweepopt compare`"
+        raise InputError(f"{name!r} is neither {what}; there are: {names}{near}")
     return known[name]
 
 

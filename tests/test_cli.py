@@ -315,6 +315,7 @@ def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
         "unrecognized argument --scheme; there are: --set, --steps, --without",
     ),
     (["--bound", "run", "pipe"], "unrecognized argument --bound; put it after the command"),
+    (["list", "--long"], "unrecognized argument --long; there are: none"),
     (
         ["run", "pipe", "tube"],
         "unrecognized argument tube; give one SCENE or STUDY, and words with blanks in quotes: "

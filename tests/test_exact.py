@@ -54,12 +54,12 @@ def integral_error(found):
     return worst
 
 
-def follows_the_inclusion(process, t_end, steps=60):
+def follows_the_inclusion(process, t_end, steps=60, rounding=1e-11):
     """The exact trajectory does, at any time, and u is the integral of its derivative."""
     found = exact(process, t_end, steps)
     times = np.random.default_rng(0).uniform(found.starts[0], found.end, 20)
     assert residual(process, found, times) <= 1e-10
-    assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
+    assert integral_error(found) <= rounding * max(1.0, np.abs(found(times)).max())
 
 
 @pytest.mark.parametrize("name", [*POLYHEDRAL, "L13"])
@@ -270,7 +270,8 @@ def test_rows_that_are_nearly_dependent_are_followed(seed):
     C = so.Moving(so.Polytope(V), so.Separable(load))
     u0 = np.linalg.solve(B, C.at(0.0).project(np.zeros(3)))
     process = so.SweepingProcess(0 * B, B, C, u0)
-    follows_the_inclusion(process, 3.0)
+    # rounding times the condition is 2e-11, and which part of it is seen depends on the processor
+    follows_the_inclusion(process, 3.0, rounding=1e-10)
 
 
 @pytest.mark.parametrize("seed", [2, 7, 428, 519, 947])

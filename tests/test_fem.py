@@ -21,6 +21,7 @@ from sweepopt.fem import (
     Traction,
     Viscosity,
     antiplane,
+    body,
     grid,
     read_mesh,
 )
@@ -243,22 +244,28 @@ def test_a_spreading_and_reversing_slip_zone(element, sizes, steps, at_end, ever
 # ---- refined meshes ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mesh", [square(2), annulus(1, curved=False), annulus(1)])
+@pytest.mark.parametrize(
+    "mesh",
+    [square(2), annulus(1, curved=False), annulus(1), grid([1.0], [3]), grid([1.0] * 3, [1] * 3)],
+)
 @pytest.mark.parametrize("coarse, fine", [("P1", "P1"), ("P1", "P2"), ("P2", "P2")])
 def test_functions_of_a_mesh_are_functions_of_the_refined_ones(mesh, coarse, fine):
     clamped = sorted(mesh.boundaries)[0]
     curved, differences = isinstance(mesh, skfem.MeshTri2), []
     for k in (1, 2) if curved else (1,):
-        bodies = [
-            antiplane(mesh, clamped=clamped, effects=[Viscosity(1.0)], element=e, refinements=r)
-            for e, r in ((coarse, k), (fine, k + 1 if curved else 3))
+        kind, finest = ("solid", 2) if mesh.dim() == 3 else ("antiplane", k + 1 if curved else 3)
+        spaces = [
+            Discretisation(mesh, clamped, kind=kind, element=e, refinements=r)
+            for e, r in ((coarse, k), (fine, finest))
         ]
-        P = bodies[1].discretisation.from_coarser(bodies[0].discretisation)
-        assert P.shape == (bodies[1].discretisation.dim, bodies[0].discretisation.dim)
-        A, finer = (body.problem.A for body in bodies)
+        bodies = [body(space, [Viscosity(1.0)]) for space in spaces]
+        P = spaces[1].from_coarser(spaces[0])
+        assert P.shape == (spaces[1].dim, spaces[0].dim)
+        A, finer = (one.problem.A for one in bodies)
         # the energy of a function does not depend on the mesh it is written on
         difference = P.T @ finer @ P - A
-        smooth = bodies[0].discretisation.interpolate("sin(x) * y")
+        function = f"sin(x) * {'xyz'[mesh.dim() - 1]}"
+        smooth = spaces[0].interpolate([function] * 3 if kind == "solid" else function)
         differences.append(abs(smooth @ difference @ smooth) / (smooth @ A @ smooth))
     if curved:  # but for the quadrature, of second order there
         assert differences[1] < differences[0] / 3 < 2e-3

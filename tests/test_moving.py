@@ -142,12 +142,6 @@ def test_a_set_that_becomes_empty_says_when_once():
     assert C.at(1.0).contains([0.0])
 
 
-def test_moving_offsets_that_leave_no_point_are_found():
-    C = so.Polyhedron([[1.0], [-1.0]], lambda t: [1 - t, t - 1 - 1e-9 * t])
-    with pytest.raises(so.EmptySetError, match="C\\(t\\) at t = 2 is empty"):
-        C.at(2.0).require_nonempty("C(t) at t = 2")
-
-
 @pytest.mark.parametrize("solver", ["auto", "daqp", "osqp"])
 def test_a_box_shrinks_through_all_sizes_to_a_point_and_grows_again(solver):
     A, f = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.array([3.0, 1.0])

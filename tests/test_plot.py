@@ -27,6 +27,7 @@ from sweepopt.fem import (
     PrescribedDisplacement,
     Traction,
     Viscosity,
+    YieldStress,
     antiplane,
     body,
     grid,
@@ -106,6 +107,19 @@ def test_a_body_at_rest_without_friction_has_a_picture():
     (legend,) = figure.legends
     assert words(legend.get_texts()) == ["clamped"]
     assert figure.axes[0].yaxis.get_major_formatter()(0.5) == "0.5"
+
+
+@pytest.mark.parametrize("length", [1.0, 5.0])
+def test_sections_fill_their_panels_and_where_there_is_flow_it_is_drawn_first(length):
+    mesh, effects = square(3).scaled((length, 1.0)), [Viscosity(1.0), YieldStress(0.1)]
+    scene = antiplane(mesh, clamped="top", effects=effects, t_end=1.0, steps=4)
+    figure = scene.plot(scene.solve())
+    figure.draw_without_rendering()
+    *panels, bar = figure.axes
+    assert bar.get_ylabel() == "velocity"
+    assert panels[0].get_gridspec().get_geometry() == (2, 2)
+    drawn = sum(np.prod(panel.get_position().size) for panel in panels)
+    assert drawn > 0.2  # 0.10 of the page if a flat body has that of a square
 
 
 def test_contact_histories_are_those_of_the_solution(run):

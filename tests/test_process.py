@@ -380,10 +380,11 @@ SHOWN = {
     "plates <1 & 2>": TITLED,
     "20, 5 of them kept": RUN,
     "full: a program for all unknowns": RUN.plan,
-    "Energy(stored=(21,) in [0, ": so.solve(PLAIN, t_end=2.0, steps=20).energy(),
+    "balance             (21,) in [": so.solve(PLAIN, t_end=2.0, steps=20).energy(),
     "Contact(unknown=": TITLED.contact,
     "Discretisation(dim 6, mesh=<skfem": TITLED.discretisation,
-    "StepProgram(problem=Problem(": RUN.step_program(0),
+    "problem             minimize 0.5 * QuadForm(z": RUN.step_program(0),
+    "20 steps: t, seconds, iterations": RUN.stats,
     "center=Separable(dim 3, 1": so.Moving(BOX, so.Separable([(so.Sine(3, 4), [1, 2, 3])])),
 }
 
@@ -403,6 +404,18 @@ def test_notebooks_show_rows_with_the_words_of_users_escaped():
     for this in (PLAIN, TITLED, RUN, RUN.plan):
         assert this._repr_html_().count("<tr>") == repr(this).count("\n") + 1
     assert so.Ball([0.0, 0.0], 1.0)._repr_html_().startswith("<pre>Ball(dim 2, center=[0., 0.]")
+
+
+def test_a_class_based_on_ours_shows_our_arguments_too():
+    class Spring(so.EvolutionVI):
+        def __init__(self, k):
+            f, D = so.Sine(1.0, 2.0), so.Box(-1.0, 1.0)
+            super().__init__(A=0.5, B=k, load=f, dissipation=D, u0=0.0)
+            self.k = k
+
+    shown = dict(line.split(maxsplit=1) for line in repr(Spring(2.0)).splitlines())
+    assert shown["k"] == shown["B"] == "2.0"
+    assert shown["dissipation"] == repr(so.Box(-1.0, 1.0))
 
 
 def test_sums_and_intersections_show_what_they_are_made_of_once_and_sum_adds_sets():

@@ -31,12 +31,6 @@ def test_it_is_the_sum_of_tables_with_the_same_guaranteed_bound(viscosity):
     assert variation < same.process.variation([0.0, 2.0])
 
 
-def test_values_between():
-    f = so.VectorTable(TIMES, VALUES)
-    assert f([0.1, 1.5]) == pytest.approx(HATS.at_many(np.array([0.1, 1.5])))
-    assert f.breakpoints(0.3, 2.0).tolist() == [1.1]
-
-
 @pytest.mark.parametrize("viscosity", [0.5, 0.0])
 def test_exact_takes_it_as_the_sum_of_tables(viscosity):
     exact, same = (run(f, viscosity, scheme="exact") for f in (so.VectorTable(TIMES, VALUES), HATS))

@@ -79,8 +79,7 @@ __all__ = [
     "read_scene",
 ]
 
-for name in __all__:
-    globals()[name] = public(globals()[name])
+globals().update({name: public(globals()[name]) for name in __all__})
 
 
 def __dir__() -> list[str]:

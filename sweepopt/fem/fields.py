@@ -324,8 +324,10 @@ class Coefficient(NamedTuple):
         times = np.zeros(len(values), dtype=int)
         for key, value in datum.items():
             if key not in groups:
-                known = ", ".join(sorted(groups)) or "none"
-                raise InputError(f"{self.name}.{key} is not a group here; there are: {known}")
+                known = f"there are: {', '.join(sorted(groups))}"
+                if not groups:
+                    known = "the mesh names none; give one value, a formula, or a mesh with groups"
+                raise InputError(f"{self.name}.{key} is not a group here; {known}")
             values[groups[key]] = value
             times[groups[key]] += 1
         if np.any(times != 1):

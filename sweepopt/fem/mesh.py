@@ -352,13 +352,13 @@ def _finer_solid(mesh: skfem.MeshTet) -> skfem.MeshTet:
 
 
 def nested(
-    mesh: skfem.MeshTri, element: skfem.Element, times: int, finer: skfem.Element
+    mesh: skfem.Mesh, element: skfem.Element, times: int, finer: skfem.Element
 ) -> sp.csr_array:
     """Values of piecewise polynomials on a mesh at the degrees of freedom of a refined one.
 
     Parameters
     ----------
-    mesh : skfem.MeshTri
+    mesh : skfem.Mesh
     element, finer : skfem.Element
         P1 or P2, on the mesh and on the one refined `times` times; `finer` has no lower degree.
 
@@ -367,25 +367,27 @@ def nested(
     sparse, shape (degrees of freedom on the refined mesh, on the mesh)
     """
     # in the coordinates of a triangle, which do not see where its edges are curved
-    straight = _straight(mesh)
+    straight = replace(_straight(mesh), _boundaries=None)
     coarse, fine = (
         skfem.CellBasis(one, kind, intorder=1)
         for one, kind in ((straight, element), (straight.refined(times), finer))
     )
-    parent = np.arange(fine.nelems) % coarse.nelems  # scikit-fem numbers the parts in four blocks
+    parent = straight.element_finder()(*fine.mesh.p[:, fine.mesh.t].mean(axis=1))
     dofs, first = np.unique(fine.element_dofs.T, return_index=True)
-    triangle = first // fine.Nbfun
+    cell = first // fine.Nbfun
     places = fine.doflocs[:, dofs, None]
-    local = straight.mapping().invF(places, tind=parent[triangle])[:, :, 0]
-    columns = coarse.element_dofs[:, parent[triangle]]
+    local = straight.mapping().invF(places, tind=parent[cell])[:, :, 0]
+    columns = coarse.element_dofs[:, parent[cell]]
     values = np.array([element.lbasis(local, k)[0] for k in range(coarse.Nbfun)])
     rows = np.broadcast_to(dofs, columns.shape)
     entries = values.ravel(), (rows.ravel(), columns.ravel())
     return sp.csr_array(entries, shape=(fine.N, coarse.N))
 
 
-def _straight(mesh: skfem.MeshTri) -> skfem.MeshTri:
+def _straight(mesh: skfem.Mesh) -> skfem.Mesh:
     """With the same corners, numbers and names, and straight edges."""
+    if not isinstance(mesh, skfem.MeshTri2):
+        return mesh
     corners = np.ascontiguousarray(mesh.p[:, : mesh.nvertices])
     return _with_names(skfem.MeshTri(corners, mesh.t), mesh)
 

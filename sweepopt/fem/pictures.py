@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 Array = np.ndarray
-AUTOMATIC = ("displacement", "surface", "flow", "stress", "contact")
+AUTOMATIC = ("flow", "displacement", "surface", "stress", "contact")
 """Pictures of a scene that names none: those of them that fit."""
 
 
@@ -282,9 +282,9 @@ def _slip_range(slip: Slip) -> tuple[float, float, str]:
 
 
 FIELDS = {
+    "flow": snapshots.flow,
     "displacement": snapshots.displacement,
     "surface": snapshots.surface,
-    "flow": snapshots.flow,
     "stress": snapshots.stress,
     "yielding": snapshots.yielding,
     "arrows": snapshots.arrows,

@@ -157,6 +157,7 @@ class Scene(Displayed):
         if vars(solution.process).get("unknowns_digest", digest) != digest:
             raise InputError("solution is of another mesh or clamping; give a run of this scene")
 
+    @with_checks
     def displacement(self, solution: Solution, t: ArrayLike | None = None) -> Array:
         """u at all nodes, shape (k, N), or (k, N, components) of vectors.
 
@@ -233,13 +234,14 @@ class Scene(Displayed):
             field = field + np.multiply.outer(values(history), d[nodes])
         return field
 
-    def solve(self, **changes: Any) -> Solution:
+    @with_checks
+    def solve(self, **arguments: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
         from sweepopt.driver import solve
 
         names = ("t_end", "steps", "scheme", "solver", "tol", "path")
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}
-        return solve(self.problem, **(settings | changes))
+        return solve(self.problem, **(settings | arguments))
 
     @with_checks
     def plot(self, solution: Solution, picture: str = "") -> Any:
@@ -450,7 +452,7 @@ def build(
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size)
     known = [one.slopes for one in yields if one.slopes is not None]
-    if internal and B is not None:  # which u each internal unknown belongs to
+    if size > space.dim and B is not None:  # which u each internal unknown belongs to
         known.append(sp.csc_array(B)[: space.dim, space.dim :].sorted_indices().indices)
     digest = space.digest(*known)
     if isinstance(u0, Initial):

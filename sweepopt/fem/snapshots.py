@@ -366,8 +366,8 @@ def _draw(report: Report, field: Field, panel: Any, steps: Array, i: int) -> Any
 
 def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
     """A figure with the field at ends of steps, up to three in a row, and its first panel."""
-    columns = min(len(steps), 3)
-    rows = -(-len(steps) // columns)
+    rows = -(-len(steps) // 3)
+    columns = -(-len(steps) // rows)
     figure = new_figure((max(4.0 * columns, 5.5), 3.5 * rows))  # a legend is wide
     kind: Any = {"projection": "3d"} if field.points.shape[1] == 3 else {}
     panels = [figure.add_subplot(rows, columns, k, **kind) for k in range(1, len(steps) + 1)]
@@ -380,6 +380,9 @@ def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
         panel.locator_params(nbins=4)
         if not kind:  # panels have the same axes
             panel.label_outer()
+    if panels[0].get_aspect() == 1.0:  # a flat body needs less height, but labels some
+        flat = 3.3 * np.ptp(panels[0].get_ylim()) / np.ptp(panels[0].get_xlim())
+        figure.set_figheight(max(rows * min(flat + 0.8, 3.5), 4.0))
     if image is not None:
         bar = figure.colorbar(image, ax=panels, shrink=0.8)
         name_axis(report, bar.ax.yaxis, field.label, field.quantity)

@@ -372,16 +372,14 @@ class Discretisation(Brief):
         Parameters
         ----------
         coarse : Discretisation
-            Of the same mesh of triangles, with no more refinements and no higher degree: each of
-            its functions is one of these too. Where unknowns are turned, up to the change of the
+            Of the same mesh, with no more refinements and no higher degree: each of its functions
+            is one of these too. Where unknowns are turned, up to the change of the
             normals.
 
         Returns
         -------
         sparse, shape (dim, coarse.dim)
         """
-        if self.mesh.dim() != 2:
-            raise InputError("values are taken from coarser meshes of triangles only")
         times = self.refinements - coarse.refinements
         values = nested(coarse.mesh, coarse.scalar.elem, times, self.scalar.elem)
         if self.components > 1:

@@ -98,7 +98,7 @@ def velocity_field(
     @with_checks
     def velocity(t: float, u: Any) -> Array:
         nonlocal solve
-        t, u = instant("t", t), vector("u", u, process.dim)
+        t, u = number("t", t), vector("u", u, process.dim)
         C = process.set_at(t, u)
         if solve is None:
             solve = compiled(t, C)

@@ -51,6 +51,22 @@ ROW = np.dtype({"names": COLUMNS, "formats": ["f8", "f4", "i4", "i4", "f8", "f8"
 """A step's statistics in 38 bytes; t is its end, the solver the number of its name."""
 
 
+class StepTable(np.ndarray):
+    """`Solution.stats`: a structured array that shows few of its rows, and says which columns."""
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str) and key not in COLUMNS:
+            raise InputError(f"stats has no column {key!r}; there are: {', '.join(COLUMNS)}")
+        value = super().__getitem__(key)
+        return np.asarray(value) if isinstance(key, str) else value
+
+    def __repr__(self) -> str:
+        rows = np.array2string(np.asarray(self), threshold=6)
+        return f"{len(self)} steps: {', '.join(COLUMNS)}\n{rows}"
+
+    __str__ = __repr__
+
+
 class Statistics(NamedTuple):
     """The statistics of n steps: rows of type ROW, names of solvers."""
 
@@ -60,13 +76,13 @@ class Statistics(NamedTuple):
     def __repr__(self) -> str:
         return by_parts(self)
 
-    def table(self) -> Array:
-        """A structured array with full numbers and the names themselves, shape (n,)."""
+    def table(self) -> StepTable:
+        """With full numbers and the names themselves, shape (n,)."""
         names = np.array([*self.solvers, ""])
         kinds = [int if ROW[name].kind == "i" else float for name in COLUMNS[:-1]]
         table = self.rows.astype({"names": COLUMNS, "formats": [*kinds, names.dtype]})
         table["solver"] = names[self.rows["solver"]]
-        return table
+        return table.view(StepTable)
 
 
 class Saving(NamedTuple):

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from inspect import signature
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
 
@@ -34,7 +33,7 @@ from sweepopt.checks import (
     takes,
     vector,
 )
-from sweepopt.display import Displayed, Rows, brief
+from sweepopt.display import Displayed, Rows, arguments, brief
 from sweepopt.errors import (
     IndefiniteError,
     InitialStateWarning,
@@ -148,7 +147,7 @@ class SweepingProcess(Displayed):
     ) -> None:
         self.A, self.B, sizes = _matrices(A, B)
         if callable(C) and not isinstance(C, (type, MovingSet)):
-            takes("C", C, "t")
+            takes("C", C, "t", remedy="; a set C(t, u) is so.StateDependent(C, lipschitz)")
             C = MovingSet(C)
         if not isinstance(C, (ConvexSet, MovingSet)):
             raise InputError(
@@ -182,7 +181,7 @@ class SweepingProcess(Displayed):
 
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
-        parts = ((name, getattr(self, name, None)) for name in signature(type(self)).parameters)
+        parts = ((name, getattr(self, name, None)) for name in arguments(self))
         yield from ((name, brief(x)) for name, x in parts if x is not None and name != "fields")
 
     def _picture(self) -> str:
@@ -369,9 +368,11 @@ class SweepingProcess(Displayed):
         D = getattr(self, "dissipation", None)
         if D is not None and D.exact and not D.contains(np.zeros(self.dim)):
             remedy = "a dissipation that contains 0, as so.Box(-g, g) for a friction bound g"
+        if self.B is not None:
+            remedy = f"a u0 with {what} {home}, or {remedy}"
         warn(
-            f"{where}. The solution exists and starts with a velocity; for a start at rest give a "
-            f"u0 with {what} {home}, or {remedy}",
+            f"{where}. The solution exists and starts with a velocity; for a start at rest give "
+            f"{remedy}",
             InitialStateWarning,
         )
         return True

@@ -14,7 +14,7 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.checks import Array
-from sweepopt.display import Displayed, Rows, by_parts, evenly, svg
+from sweepopt.display import Displayed, Rows, as_lines, brief, evenly, svg
 from sweepopt.errors import (
     BoundWarning,
     CheckpointWarning,
@@ -70,6 +70,7 @@ TRIED = {
     "z": "the velocities are velocity, one row a step",
     "error": "a bound of the error is error_bound()",
     "t_end": "it ends at t[-1]",
+    **dict.fromkeys(("to_csv", "to_dataframe"), "to_xarray() is a dataset, u and t are arrays"),
     "stress": "stresses of a body are scene.stress(sol)",
     "certificate": "certificates are stats['certificate'], one a step",
 }
@@ -107,7 +108,11 @@ class Energy(NamedTuple):
     work: Array
 
     def __repr__(self) -> str:
-        return by_parts(self)
+        rows = ((name, brief(one)) for name, one in self._asdict().items())
+        return as_lines([*rows, ("balance", brief(self.balance))])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self}</pre>"
 
     @property
     def balance(self) -> Array:
@@ -240,6 +245,7 @@ class Solution(Displayed):
         """
         return self.statistics.table()
 
+    @checks.with_checks
     def field(self, name: str) -> Field:
         """The unknowns that `fields` of the process calls so.
 
@@ -545,6 +551,7 @@ class Solution(Displayed):
             values.append(measure(z, force, self.process.set_at(float(time), u)))
         return np.array(values).reshape(times.shape)
 
+    @checks.with_checks
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "study")."""
         return to_xarray(self)

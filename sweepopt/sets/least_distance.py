@@ -121,26 +121,24 @@ def least_distance(G: Any, slack: Array, rounding: Array) -> Shortest | None:
     lengths = np.where(lengths > 0, lengths, np.inf)  # no point violates a zero row then
     G = sp.diags_array(1 / lengths) @ sp.csr_array(G) if sp.issparse(G) else G / lengths[:, None]
     slack, rounding = slack / lengths, rounding / lengths
-    implied = active  # rows that follow from active ones up to rounding
     visited: set[tuple[int, ...]] = set()
     while True:
         excess = G @ u - slack
-        excess[active] = excess[implied] = -np.inf
+        excess[active] = -np.inf
         violated = np.flatnonzero(excess > rounding + ROUNDING * np.linalg.norm(u))
         if not violated.size:
             return Shortest(u, active)
-        state = (*np.sort(active), -1, *np.sort(implied))
+        state = (*np.sort(active),)
         if state in visited:  # rounding turns in circles
             small = excess.max() <= 1e-12 * np.abs(slack).max()
             return Shortest(u, active) if small else None
         visited.add(state)
-        basis, dependent = _binding(G, slack, rounding, np.union1d(active, violated))
-        u, active = _on(G, slack, basis)
-        implied = np.union1d(implied, dependent)
+        rows = _binding(G, slack, rounding, np.union1d(active, violated))
+        u, active = _on(G, slack, rows)
 
 
-def _binding(G: Any, slack: Array, rounding: Array, rows: Array) -> tuple[Array, Array]:
-    """Independent ones of these rows that bind the shortest u, and those that depend on them.
+def _binding(G: Any, slack: Array, rounding: Array, rows: Array) -> Array:
+    """Independent ones of these rows that bind the shortest u.
 
     A row that others imply with weights <= 0, and contradict, proves that there is no u.
     """
@@ -163,7 +161,7 @@ def _binding(G: Any, slack: Array, rounding: Array, rows: Array) -> tuple[Array,
         limits = 100 * (rounding[dependent] + np.abs(shares.T) @ rounding[basis])
         if ((shares <= ROUNDING).all(axis=0) & (excess > limits)).any():
             raise EmptySetError(EMPTY)
-    return basis, dependent
+    return basis
 
 
 def _on(G: Any, slack: Array, rows: Array) -> tuple[Array, Array]:

@@ -235,16 +235,15 @@ class Lifted(ConvexSet):
         if pair is not None:
             return pair
         near = self.near(v) if self.certifiable else None
-        if near is None or not near.exact:
-            if near is None or self._cut:
-                return None
-            p = v - near.w
+        if near is None or (self._cut and not near.exact):
+            return None
+        p = v - near.w
+        if not near.exact:
             return NormalPair(p, near.w.copy(), self.gap(p, near.w), _rounded(v))
-        p = near.splitting.normal(near)
         if not self._cut and np.isinf(self.support(p)):
             # the rounding of v has left the domain of sigma, where all p - P_{rC}(p) are
             far = self._projection(REMOTE * p)
-            p = far.splitting.normal(far) / REMOTE if far.exact else p
+            p = (REMOTE * p - far.w) / REMOTE if far.exact else p
         size = np.abs(p).max()
         noise = np.abs(p) <= ROUNDING * (size if size > ROUNDING * np.abs(v).max() else np.inf)
         clean = np.where(noise, 0.0, p)

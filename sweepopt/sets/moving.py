@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Array, dimension, instant, number, symmetric, takes, vector
+from sweepopt.checks import Array, dimension, instant, meaning, number, symmetric, takes, vector
 from sweepopt.errors import EmptySetError, InputError, result_of, shown
 from sweepopt.linalg import require_semidefinite
 from sweepopt.loads import Constant, History, Separable, VectorTable
@@ -301,6 +301,7 @@ class MovingOffsets(MovingSet):
         return self.shape.member(self.offsets(t))
 
 
+@meaning(L="; give lipschitz")
 class StateDependent(MovingSet):
     """C(t, u): a set that moves with time and with the state, in a quasi-variational problem.
 

@@ -290,16 +290,6 @@ class Splitting:
         w, rounding = self.E @ s, ROUNDING * size * abs(self.E).sum(axis=1)
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
-    def normal(self, near: Projection) -> Array:
-        """v - w, changed by what rounding of v keeps it from being one to the parts' normals."""
-        p = near.v - near.w
-        if not self.small or not p.any():  # 0 is normal everywhere
-            return p
-        each = [unit * part.normal(near.image[at] / unit) for part, at, unit in self.parts]
-        n, E, F = np.concatenate(each), self.E.T, self.F.T
-        multipliers = _shortest(F, E @ p - n)
-        return p + _shortest(np.hstack([E, -F]), n - E @ p + F @ multipliers)[: p.size]
-
     def is_tense(self, near: Projection, times: float) -> bool:
         """Whether multipliers of F s = 0 are so many times as large as v - w, as forces on parts.
 

@@ -41,5 +41,8 @@ __all__ = [
     "write_report",
 ]
 
-for name in __all__:
-    globals()[name] = public(globals()[name])
+globals().update({name: public(globals()[name]) for name in __all__})
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -24,6 +24,7 @@ from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
+from sweepopt.study.diagram import require
 from sweepopt.study.problems import Source, find_source, open_source
 from sweepopt.velocity import (
     DAQP,
@@ -195,6 +196,7 @@ def shifted_mean(seconds: Any, shift: float = 1e-3) -> float:
 
 def comparison_text(table: DataFrame) -> str:
     """The comparison as text."""
+    require(table, ("time", "ratio", "programs", "message"), "compare")
     names = {"time": "ms", "ratio": "x best", "certificate": "median", "message": ""}
     shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
     shown = shown.drop(columns="programs").rename(columns=names)

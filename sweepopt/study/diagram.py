@@ -6,7 +6,7 @@ Cells that have no place on logarithmic axes are not left out: an error of 0 lie
 of its panel, a cell that failed or of which neither error nor bound is known above them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -72,6 +72,12 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     return ax.figure.axes[0]
 
 
+def require(table: Any, columns: Iterable[str] = CellRow._fields, of: str = "a study") -> None:
+    """Refuse what is no such table."""
+    if missing := [name for name in columns if name not in getattr(table, "columns", ())]:
+        raise InputError(f"table lacks the columns {missing}; pass the table of {of} as it is")
+
+
 def points(table: DataFrame, x: str) -> DataFrame:
     """The points of the diagram, for `work_precision` and for the report.
 
@@ -87,9 +93,7 @@ def points(table: DataFrame, x: str) -> DataFrame:
         As `work_precision`.
     """
     choice("x", x, COSTS)
-    missing = [name for name in CellRow._fields if name not in getattr(table, "columns", ())]
-    if missing:
-        raise InputError(f"table lacks the columns {missing}; pass the table of a study as it is")
+    require(table)
     if not len(table):
         raise InputError("table has no rows; run the study first")
     known = table.success & np.isfinite(table.error)

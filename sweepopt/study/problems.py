@@ -117,6 +117,9 @@ class Source(NamedTuple):
     def __str__(self) -> str:
         return body_name(self.name, self.refinements, self.element)
 
+    def __repr__(self) -> str:
+        return f"Source({self})"
+
     @property
     def small(self) -> bool:
         """Whether it has no mesh: one of PROBLEMS, or one's own."""

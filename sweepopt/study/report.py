@@ -28,7 +28,7 @@ from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.cell import machine, solution_of
 from sweepopt.study.comparison import FORMAT
-from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
+from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, require, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.study import Study
 
@@ -59,6 +59,7 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
         A row a problem and target, with the columns of the run and its target; a target
         that no run meets has no row.
     """
+    require(table)
     known = table[table.success & table.error.notna()].sort_values("wall", kind="stable")
     chosen = [
         known[known.error <= target * known["size"]]
@@ -104,6 +105,7 @@ def halving(table: DataFrame) -> DataFrame:
         for example: the factor of the time, inf where the error hardly falls, nan where no next
         run was measured; and `cheapest`, the axis of the least factor, "" if all are above 100.
     """
+    require(table)
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
     factors = {}
     for words, (axis, smaller) in AXES.items():
@@ -131,9 +133,9 @@ def readable(cells: DataFrame, *columns: str) -> DataFrame:
 
 def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
     """The advice as text, and the failures below."""
+    chosen = readable(advice(table, targets), "target")
     failures = table[~table.success].status.value_counts()
     unknown = int((table.success & table.error.isna()).sum())
-    chosen = readable(advice(table, targets), "target")
     words = chosen.to_string(**FORMAT) if len(chosen) else f"no run meets {max(targets):g}"
     lines = ["the fastest way to each relative error", words, ""]
     lines += ["factor of the time for half the error, from the best runs on"]

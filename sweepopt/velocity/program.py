@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Array, Matrix, count, number, vector
-from sweepopt.display import Brief
+from sweepopt.display import Brief, as_lines, brief
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet, Point, Similar, in_turn
@@ -180,6 +180,11 @@ class StepProgram(Brief):
             raise InputError("z is None: solve the problem first")
         c, S = untranslated(self.C)
         return certify_point(Factor(self.M), self.Bu - c, S, vector("z", z, S.dim), 0.0)
+
+    def __repr__(self) -> str:
+        data = ((name, brief(getattr(self, name))) for name in ("M", "Bu", "C"))
+        program = " ".join(str(self.problem).split())
+        return as_lines([("StepProgram", f"dim {self.C.dim}"), *data, ("problem", program)])
 
     def __str__(self) -> str:
         return str(self.problem)

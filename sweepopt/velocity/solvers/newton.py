@@ -106,13 +106,10 @@ class _Iteration:
         scale = 1 / np.sqrt(T)
         smallest = math.inf
         for iteration in range(self._max_iter):
-            for enough in (math.inf, NEGLIGIBLE):
-                w, size_z = self._M.apply(z, q, enough)
-                v = w - T * z
-                residual = C.project(v) - w
-                size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
-                if size > 1e-6 * forces:  # needs no twice the precision: half of all products
-                    break
+            w, size_z = self._M.apply(z, q, NEGLIGIBLE)
+            v = w - T * z
+            residual = C.project(v) - w
+            size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
             rounding = EPS * forces
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
