@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import meshio
 import numpy as np
+import scipy.sparse.linalg
 import skfem
 
 import sweepopt as so
@@ -13,7 +14,9 @@ from sweepopt.fem import (
     Friction,
     Viscosity,
     antiplane,
+    body,
 )
+from sweepopt.fem.contact import slip_of
 from sweepopt.fem.output import Report
 
 
@@ -73,6 +76,31 @@ def smooth():
 def report_of(scene, **more):
     """The scene and its run, as what is written of them sees them."""
     return Report(scene, scene.solve(), **more)
+
+
+def at_rest(space, effects):
+    """Displacements of the nodes in equilibrium with the load at t = 0."""
+    scene = body(space, effects)
+    u = scipy.sparse.linalg.spsolve(scene.problem.B, scene.load(0.0))
+    return scene.discretisation.expand(u)
+
+
+def run_of(space, effects, **how):
+    """A body and its run of implicit Euler until t = 1 in two steps, unless said otherwise."""
+    scene = body(space, effects)
+    how = {"t_end": 1.0, "steps": 2, "scheme": "implicit-euler"} | how
+    return scene, scene.solve(**how)
+
+
+def slips(space, effects, **how):
+    """What slips in such a run."""
+    return slip_of(*run_of(space, effects, **how))
+
+
+def end_of(space, effects, **how):
+    """Displacements of the nodes at its end."""
+    scene, run = run_of(space, effects, **how)
+    return scene.displacement(run)[-1]
 
 
 def errors(body, u, exact, gradient):

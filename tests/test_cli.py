@@ -45,6 +45,7 @@ f0 = { along = "x", at = [-2.0, 2.0], values = [0.5, 1.5] }
 history = { waveform = "sine", amplitude = 4.0, period = 4.0 }
 """
 BARE = SCENE.replace('[effects.friction]\non = "outer"\ng = 0.6\n', "")
+OUT = Path("out")
 OPTIONAL = ["matplotlib", "xarray", "h5netcdf", "h5py", "skfem", "meshio", "tqdm"]
 
 
@@ -54,7 +55,7 @@ def make_scene(folder, text=SCENE):
     return folder / "ring.toml"
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def scene(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return make_scene(tmp_path)
@@ -75,16 +76,19 @@ def run(*options, picture="", bar=False, files=True):
         return cli.main(["run", "ring.toml", "--out", "out", *quiet, *one, *options])
 
 
-def summary_in(folder):
+def summary_in(folder=OUT):
     found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert isinstance(found, dict)
     return found
 
 
+def solution_in(folder=OUT):
+    return xr.load_dataset(folder / "solution.nc", engine="h5netcdf")
+
+
 # ---- run ------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("scene")
 def test_run_writes_every_file_and_says_what_it_will_do_and_did(monkeypatch, capsys):
     monkeypatch.setattr("sweepopt.fem.pictures.draw", lambda *_: Figure())
     assert cli.main(["run", "ring.toml"]) == 0
@@ -115,28 +119,26 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(monkeypatch, cap
     assert 0 < abs(rest) < 0.1 * work
     assert stored + spent + rubbed == pytest.approx(work + rest, rel=1e-3, abs=0.1 * abs(rest))
     assert "30/30" in shown.err
-    assert summary_in(results)["settings"]["scheme"] == "sdirk32"
-    files = summary_in(results)["files"]
+    summary = summary_in(results)
+    assert summary["settings"]["scheme"] == "sdirk32"
+    files = summary["files"]
     found = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
     assert found == {*files, "summary.json"}
     assert sum(name.endswith(".vtu") for name in files) == 31
-    with xr.open_dataset(results / "solution.nc", engine="h5netcdf") as dataset:
-        assert dataset.attrs["scene"] == SCENE
+    assert solution_in(results).attrs["scene"] == SCENE
 
 
-@pytest.mark.usefixtures("scene")
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_of_a_prescribed_displacement_the_energies_that_are_known_are_said(capsys):
     pull = 'effects.prescribed_displacement={ on = "inner", history = { waveform = "sine", '
     pull += "amplitude = 4.0, period = 4.0 } }"
     assert run("--set", pull, files=False) == 0
     (line,) = re.findall("^energy.*", capsys.readouterr().out, re.MULTILINE)
-    rubbed = summary_in(Path("out"))["energy"]["friction"]
+    rubbed = summary_in()["energy"]["friction"]
     words = "J/m; the others are not known where a displacement is prescribed"
     assert line.endswith(f"friction and yielding {rubbed:.4g} {words}")
 
 
-@pytest.mark.usefixtures("scene")
 def test_the_plan_is_printed_before_the_run(monkeypatch, capsys):
     monkeypatch.setattr("sweepopt.cli.run_over", Mock(side_effect=KeyboardInterrupt))
     assert run() == 130
@@ -145,36 +147,32 @@ def test_the_plan_is_printed_before_the_run(monkeypatch, capsys):
     assert "nonsmooth unknowns" in shown
 
 
-@pytest.mark.usefixtures("scene")
 def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty(
     capsys,
 ):
     expected = {"steps": 7, "scheme": "implicit-euler", "solver": "clarabel", "tol": 1e-5}
     options = [word for name, x in expected.items() for word in (f"--{name}", str(x))]
     assert run(*options, files=False) == 0
-    assert expected.items() <= summary_in(Path("out"))["settings"].items()
+    assert expected.items() <= summary_in()["settings"].items()
     assert capsys.readouterr().err == ""
 
 
 def test_a_second_run_replaces_the_first_whole(scene):
-    out = Path("out")
     assert run("--steps", "9", picture="contact") == 0
-    assert (out / "contact.png").stat().st_size > 20_000
-    (out / "notes.txt").write_text("mine")
-    (out / "solution.nc").write_text("broken")
+    assert (OUT / "contact.png").stat().st_size > 20_000
+    (OUT / "notes.txt").write_text("mine")
+    (OUT / "solution.nc").write_text("broken")
     scene.write_text(BARE)
     assert run("--steps", "4") == 0
-    summary = summary_in(out)
+    summary = summary_in()
     assert (summary["slip"], summary["settings"]["steps"]) == (None, 4)
-    assert not (out / "contact.png").exists()  # there is no contact any more
-    assert len(list((out / "vtu").glob("*.vtu"))) == 5
-    assert (out / "notes.txt").read_text() == "mine"
-    with xr.open_dataset(out / "solution.nc", engine="h5netcdf") as dataset:
-        assert dataset.sizes["step"] == 4
-    assert not list(out.rglob(".*"))
+    assert not (OUT / "contact.png").exists()  # there is no contact any more
+    assert len(list((OUT / "vtu").glob("*.vtu"))) == 5
+    assert (OUT / "notes.txt").read_text() == "mine"
+    assert solution_in().sizes["step"] == 4
+    assert not list(OUT.rglob(".*"))
 
 
-@pytest.mark.usefixtures("scene")
 def test_the_error_bound_of_a_run_is_printed_on_request(capsys):
     assert run("--steps", "20", "--bound", files=False) == 0
     *_, last = capsys.readouterr().out.splitlines()
@@ -183,11 +181,10 @@ def test_the_error_bound_of_a_run_is_printed_on_request(capsys):
     assert 0 < bound < 0.2 * size
 
 
-@pytest.mark.usefixtures("scene")
 def test_an_animation_is_written_on_request(monkeypatch):
     monkeypatch.setattr(plot, "MOST_FRAMES", 2)
     assert run("--steps", "4", "--animate", files=False) == 0
-    assert "displacement.gif" in summary_in(Path("out"))["files"]
+    assert "displacement.gif" in summary_in()["files"]
     with Image.open("out/displacement.gif") as shown:
         assert shown.n_frames == 2
 
@@ -195,7 +192,6 @@ def test_an_animation_is_written_on_request(monkeypatch):
 # ---- a run that does not end well -----------------------------------------------------------
 
 
-@pytest.mark.usefixtures("scene")
 def test_ctrl_c_writes_what_was_computed(monkeypatch, capsys):
     class Bar(tqdm.auto.tqdm):  # type: ignore[type-arg]
         def update(self, n=1):  # the loop calls it after each step
@@ -209,25 +205,23 @@ def test_ctrl_c_writes_what_was_computed(monkeypatch, capsys):
     signal.signal(signal.SIGINT, signal.default_int_handler)
     assert run(bar=True) == 130
     assert so.Status.INTERRUPTED.value in capsys.readouterr().out
-    summary = summary_in(Path("out"))
+    summary = summary_in()
     assert (summary["status"], summary["success"]) == ("interrupted", False)
     assert summary["settings"]["steps"] == 5
     assert summary["settings"]["t_reached"] == pytest.approx(1.0)
-    with xr.open_dataset("out/solution.nc", engine="h5netcdf") as dataset:
-        assert (dataset.sizes["step"], dataset.attrs["status"]) == (5, "interrupted")
+    dataset = solution_in()
+    assert (dataset.sizes["step"], dataset.attrs["status"]) == (5, "interrupted")
 
 
-@pytest.mark.usefixtures("scene")
 def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(monkeypatch, capsys):
     assert run("--steps", "3") == 0
-    before = {path: path.read_bytes() for path in Path("out").glob("*.*")}
+    before = {path: path.read_bytes() for path in OUT.glob("*.*")}
     monkeypatch.setattr(h5netcdf.File, "create_variable", Mock(side_effect=KeyboardInterrupt))
     assert run("--steps", "3") == 130
     assert "interrupted" in capsys.readouterr().err
-    assert {path: path.read_bytes() for path in Path("out").glob("*.*")} == before
+    assert {path: path.read_bytes() for path in OUT.glob("*.*")} == before
 
 
-@pytest.mark.usefixtures("scene")
 def test_on_a_full_disk_the_results_go_to_a_temporary_folder(monkeypatch, capsys, tmp_path):
     force, other = os.fsync, tmp_path / "other"
     other.mkdir()
@@ -242,11 +236,9 @@ def test_on_a_full_disk_the_results_go_to_a_temporary_folder(monkeypatch, capsys
     assert run("--steps", "3") == 1
     assert "out: the results cannot be written there (No space" in capsys.readouterr().err
     (folder,) = other.iterdir()
-    with xr.open_dataset(folder / "solution.nc", engine="h5netcdf") as dataset:
-        assert dataset.sizes["step"] == 3
+    assert solution_in(folder).sizes["step"] == 3
 
 
-@pytest.mark.usefixtures("scene")
 @pytest.mark.filterwarnings("always::sweepopt.VariationWarning")
 def test_a_warning_of_a_run_is_printed_once(monkeypatch, capsys):
     check = so.SweepingProcess.check
@@ -262,7 +254,6 @@ def test_a_warning_of_a_run_is_printed_once(monkeypatch, capsys):
     assert calls.call_count == 1
 
 
-@pytest.mark.usefixtures("scene")
 def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(monkeypatch, capsys):
     def stopped(process, options, grid, **others):
         assert options.on_failure == "stop"
@@ -272,7 +263,7 @@ def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(monk
     monkeypatch.setattr("sweepopt.cli.run_over", stopped)
     assert run(files=False) == 1
     assert "missed tol" in capsys.readouterr().out
-    summary = summary_in(Path("out"))
+    summary = summary_in()
     assert (summary["success"], summary["settings"]["steps"]) == (False, 4)
 
 
@@ -281,7 +272,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
     # no solver reaches this: rounding alone is larger, once the body moves
     assert run("--tol", "1e-30") == 1
     assert "nothing is written" in capsys.readouterr().err
-    assert not list(Path("out").iterdir())
+    assert not list(OUT.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -302,7 +293,6 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
         (["ring.toml", "--path", "cone"], "path must be one of auto, proportional, eliminated"),
     ],
 )
-@pytest.mark.usefixtures("scene")
 def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
     Path("bad.toml").write_text(SCENE.replace("g = 0.6", "g = -1.0"))
     Path("no.toml").write_text(SCENE.replace("[time]", "[time"))
@@ -408,7 +398,6 @@ def test_a_bound_that_a_path_does_not_have_is_refused_before_the_run(scene, caps
     "package, extra",
     [("matplotlib", "plot"), ("h5py", "fem"), ("h5netcdf", "fem")],
 )
-@pytest.mark.usefixtures("scene")
 def test_a_missing_package_is_named_before_the_run(package, extra, monkeypatch, capsys):
     for name in [package, *(one for one in sys.modules if one.startswith(f"{package}."))]:
         monkeypatch.setitem(sys.modules, name, None)
@@ -420,7 +409,6 @@ def test_a_missing_package_is_named_before_the_run(package, extra, monkeypatch, 
 # ---- list -----------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("scene")
 def test_files_and_costs_of_effects_need_neither_pandas_nor_xarray():
     code = (
         "import sys; sys.modules.update(pandas=None, xarray=None)\n"

@@ -9,8 +9,9 @@ import pytest
 import skfem
 from cases import slope
 from meshes import annulus, errors, square, write_msh
+from numpy.testing import assert_allclose, assert_array_equal
 
-from sweepopt import Constant, InputError, Sine, solve
+from sweepopt import Constant, InputError, Sine
 from sweepopt.fem import (
     BodyForce,
     Discretisation,
@@ -26,11 +27,6 @@ from sweepopt.fem import (
 )
 from sweepopt.fem.mesh import check_mesh, refined
 
-GAUSS = np.polynomial.legendre.leggauss(8)
-LINE, WEIGHT = (GAUSS[0] + 1) / 2, GAUSS[1] / 2
-GRID = np.stack(np.meshgrid(LINE, LINE, indexing="ij"))
-AREA = np.multiply.outer(WEIGHT, WEIGHT)
-
 
 def order(errors, ratio=2.0):
     """Observed orders between neighbouring refinements."""
@@ -42,36 +38,22 @@ def order(errors, ratio=2.0):
 
 
 @pytest.mark.parametrize(
-    "element, v, gradient, c",
+    "element, v, c, energy, inside, at_right",
     [
-        (
-            *("P1", lambda x: 3 * x[1], lambda x: np.stack([0 * x[0], 3 + 0 * x[0]])),
-            lambda x: 1 + x[0] + 2 * x[1],
-        ),
-        (
-            *("P2", lambda x: x[1] * (1 + x[0]), lambda x: np.stack([x[1], 1 + x[0]])),
-            lambda x: 3 + 0 * x[0],
-        ),
+        ("P1", "3 * y", "1 + x + 2 * y", 22.5, 3.5, 2.5),
+        ("P2", "y * (1 + x)", "3", 8.0, 41 / 24, 5 / 3),
     ],
 )
-def test_forms_are_exact_on_polynomials(element, v, gradient, c):
-    def f(x):
-        return 2 - x[0] ** 2 + x[1]
-
-    right = np.stack([np.ones_like(LINE), LINE])
+def test_forms_are_exact_on_polynomials(element, v, c, energy, inside, at_right):
+    """Integrals of c |grad v|^2 and of f v with f = 2 - x^2 + y, over the square and its side."""
+    f = "2 - x**2 + y"
     forces = [BodyForce(Constant(), f0=f), Traction("right", Constant(), f2=f)]
-    effects = [Viscosity(c), Elasticity(lambda x: 2 * c(x)), *forces]
+    effects = [Viscosity(c), Elasticity(f"2 * ({c})"), *forces]
     scene = antiplane(square(3), clamped="bottom", element=element, effects=effects)
-    u = scene.discretisation.interpolate(v)
-    energy = np.sum(AREA * c(GRID) * np.sum(gradient(GRID) ** 2, axis=0))
-    assert u @ scene.problem.A @ u == pytest.approx(energy, rel=1e-13)
-    assert u @ scene.problem.B @ u == pytest.approx(2 * energy, rel=1e-13)
-    body, traction = (shape for _, shape in scene.problem.load.terms)
-    assert body @ u == pytest.approx(np.sum(AREA * f(GRID) * v(GRID)), rel=1e-13)
-    assert traction @ u == pytest.approx(np.sum(WEIGHT * f(right) * v(right)), rel=1e-13)
-    value, slope = errors(scene.discretisation, u, v, gradient)
-    assert value < 1e-14
-    assert slope < 1e-13
+    u, problem = scene.discretisation.interpolate(v), scene.problem
+    forces = [shape @ u for _, shape in problem.load.terms]
+    found = [u @ problem.A @ u, u @ problem.B @ u, *forces]
+    assert found == pytest.approx([energy, 2 * energy, inside, at_right], rel=1e-13)
 
 
 def test_coefficients_by_group_profile_and_function_agree():
@@ -95,15 +77,14 @@ def test_coefficients_by_group_profile_and_function_agree():
 )
 def test_a_profile_runs_along_x_y_radius_or_angle(along, expected):
     x = np.array([[1.0, 0.0, -2.0, 0.0], [0.0, 1.0, 0.0, -2.0]])
-    np.testing.assert_allclose(Profile(along, [-9.0, 400.0], [-9.0, 400.0])(x), expected)
+    assert_allclose(Profile(along, [-9.0, 400.0], [-9.0, 400.0])(x), expected)
 
 
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_triangles_for_pictures_tile_the_body(element):
-    body = antiplane(annulus(4), clamped="inner", element=element, effects=[Viscosity(1)])
-    corners = body.discretisation.points[body.discretisation.triangles]
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2
+    space = Discretisation(annulus(4), "inner", element)
+    a, b, c = np.moveaxis(space.points[space.triangles], 1, 0)
+    area = np.abs(np.linalg.det(np.stack([b - a, c - a], axis=1))).sum() / 2
     assert area == pytest.approx(3 * np.pi, rel=1e-2)
 
 
@@ -119,8 +100,8 @@ def with_friction(mesh, clamped, on, g=1.0, element="P1"):
 def test_the_dissipation_is_the_lumped_functional_and_has_its_stated_order(element, expected):
     errors = []
     for n in (4, 8, 16, 32):
-        scene = with_friction(square(n), "top", "bottom", lambda x: 1 + x[0] ** 2, element)
-        v = scene.discretisation.interpolate(lambda x: np.exp(x[0]) * (1 - x[1]))
+        scene = with_friction(square(n), "top", "bottom", "1 + x**2", element)
+        v = scene.discretisation.interpolate("exp(x) * (1 - y)")
         J, contact = scene.problem.dissipation.support(v), scene.contact
         by_hand = np.sum(contact.weight * contact.bound * np.abs(v[contact.unknown]))
         assert pytest.approx(by_hand, rel=1e-14) == J
@@ -132,20 +113,19 @@ def test_the_dissipation_is_the_lumped_functional_and_has_its_stated_order(eleme
 def test_contact_nodes_follow_the_boundary_with_the_body_on_the_left(element):
     outer = with_friction(annulus(4), "inner", "outer", element=element).contact
     angle = np.arctan2(outer.points[:, 1], outer.points[:, 0]) % (2 * np.pi)
-    np.testing.assert_allclose(outer.arc, 2 * angle, atol=0.05)
+    assert_allclose(outer.arc, 2 * angle, atol=0.05)
     assert np.all(np.diff(angle) > 0)
     corner = with_friction(square(3), "top", ["left", "bottom"], element=element).contact
     left = corner.boundary == "left"
     expected = np.where(left, 1 - corner.points[:, 1], 1 + corner.points[:, 0])
-    np.testing.assert_allclose(expected, corner.arc, atol=1e-12)
+    assert_allclose(expected, corner.arc, atol=1e-12)
     assert list(dict.fromkeys(corner.boundary)) == ["left", "bottom"]
     assert np.all(np.diff(corner.arc[left]) > 0)
 
 
 def test_nodes_without_friction_and_clamped_nodes_are_no_contact():
-    where = Profile("x", [0.0, 0.5, 0.5 + 1e-9, 1.0], [0.0, 0.0, 1.0, 1.0])
-    contact = with_friction(square(4), "right", "bottom", where).contact
-    np.testing.assert_allclose(contact.points[:, 0], [0.75])
+    contact = with_friction(square(4), "right", "bottom", "maximum(x - 0.5, 0)").contact
+    assert_allclose(contact.points[:, 0], [0.75])
 
 
 # ---- reference problems -------------------------------------------------------------------------
@@ -231,22 +211,19 @@ ZONE = {  # u(x, 0, t) at x = 0, 0.25, 0.5, 0.75, to about 3e-8
 }
 
 
-def zone_run(n, element, steps):
-    """The scene, its solution, and the error at the tabulated points for each tabulated time."""
+def zone_errors(n, element, steps):
+    """The error at the tabulated points for each tabulated time."""
 
-    def f0(x):
-        return 0.45 * np.pi**2 * np.sin(np.pi * x[1]) * (1 + 2 * np.cos(np.pi * x[0]))
-
+    f0 = "0.45 * pi**2 * sin(pi * y) * (1 + 2 * cos(pi * x))"
     force = BodyForce(Sine(1.0, period=2 * np.pi), f0)
     effects = [Viscosity(1.0), Elasticity(1.0), Friction("bottom", g=1.0), force]
     scene = antiplane(square(n), clamped="top", element=element, effects=effects)
     sol = scene.solve(t_end=4.0, steps=steps, scheme="midpoint", tol=1e-8)
     arc, unknown, at = scene.contact.arc, scene.contact.unknown, [0, 0.25, 0.5, 0.75]
-    errors = {
-        t: np.abs(np.interp(at, arc, sol.u[t * steps // 4][unknown]) - values).max()
+    return [
+        np.abs(np.interp(at, arc, sol.u[t * steps // 4][unknown]) - values).max()
         for t, values in ZONE.items()
-    }
-    return scene, sol, errors
+    ]
 
 
 @pytest.mark.parametrize(
@@ -257,10 +234,10 @@ def zone_run(n, element, steps):
     ],
 )
 def test_a_spreading_and_reversing_slip_zone(element, sizes, steps, at_end, everywhere, rate):
-    errors = [zone_run(n, element, steps)[2] for n in sizes]
-    last = np.array([error[4] for error in errors])
+    errors = np.array([zone_errors(n, element, steps) for n in sizes])
+    last = errors[:, -1]
     assert np.all(last <= at_end), last
-    assert max(errors[-1].values()) <= everywhere, errors[-1]
+    assert max(errors[-1]) <= everywhere, errors[-1]
     assert np.mean(order(last)) > rate, order(last)
 
 
@@ -312,8 +289,6 @@ def test_refined_meshes_keep_their_names_and_their_curved_edges():
     assert changes[0] < 1e-3
     assert order(changes) == pytest.approx(4.0, abs=0.2)  # Simpson's rule, on one curve
     assert abs(lengths[-1] - 4 * np.pi) < 2e-3
-    with pytest.raises(InputError, match=r"refinements: 40 of 72 triangles make more than 1e\+07"):
-        antiplane(mesh, clamped="inner", effects=effects, refinements=40)
 
 
 # ---- meshes -------------------------------------------------------------------------------------
@@ -329,10 +304,10 @@ def test_a_gmsh_file_gives_back_the_mesh_and_its_names(tmp_path, curved):
         one, two = scenes = [
             antiplane(m, clamped="inner", element=element, effects=effects) for m in (mesh, read)
         ]
-        v, w = (s.discretisation.interpolate(lambda x: x[0] ** 3 - x[1]) for s in scenes)
+        v, w = (s.discretisation.interpolate("x**3 - y") for s in scenes)
         assert v @ one.problem.A @ v == pytest.approx(w @ two.problem.A @ w, rel=1e-13)
-        np.testing.assert_allclose(one.contact.points, two.contact.points, atol=1e-15)
-        np.testing.assert_allclose(one.contact.weight, two.contact.weight, rtol=1e-13)
+        assert_allclose(one.contact.points, two.contact.points, atol=1e-15)
+        assert_allclose(one.contact.weight, two.contact.weight, rtol=1e-13)
 
 
 DAMAGE = [
@@ -352,7 +327,7 @@ SMALL = "two_triangles_4.1"  # curve 1 is in two groups, group 12 has no name, n
 @pytest.mark.parametrize("version", ["2.2", "4.1"])
 def test_binary_files_and_text_files_hold_the_same_mesh(version):
     text, binary = (read_mesh(MESHES / f"tube_{version}{kind}.msh") for kind in ("", "_binary"))
-    np.testing.assert_allclose(text.doflocs, binary.doflocs, rtol=0, atol=1e-17)  # 16 digits
+    assert_allclose(text.doflocs, binary.doflocs, rtol=0, atol=1e-17)  # 16 digits
     assert np.array_equal(text.t, binary.t)
     for kind in ("boundaries", "subdomains"):
         groups, others = getattr(text, kind), getattr(binary, kind)
@@ -366,7 +341,7 @@ def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups():
     found = {name: len(edges) for name, edges in mesh.boundaries.items()}
     assert found == {"foot": 1, "all": 1, "12": 1}
     scene = antiplane(mesh, clamped="foot", effects=[Viscosity({"lower": 1.0, "upper": 2.0})])
-    np.testing.assert_allclose(scene.problem.A.toarray(), [[1.5, -1.0], [-1.0, 2.0]])
+    assert_allclose(scene.problem.A.toarray(), [[1.5, -1.0], [-1.0, 2.0]])
 
 
 def corrupt(*changes, name=SMALL):
@@ -531,7 +506,7 @@ def test_a_refined_mesh_keeps_its_names(d):
         plane = mesh.p[:, mesh.facets[:, facets]]
         k = int(np.ptp(plane, axis=(1, 2)).argmin())
         on = (fine.p[k, fine.facets] == plane[k, 0, 0]).all(axis=0)
-        np.testing.assert_array_equal(fine.boundaries[name], np.flatnonzero(on))
+        assert_array_equal(fine.boundaries[name], np.flatnonzero(on))
 
 
 def pieces():
@@ -573,18 +548,6 @@ HALF = square(2).with_subdomains({"a": [0, 1]})
 NOWHERE = square(2).with_boundaries({"gap": np.arange(0)}).with_subdomains({"hole": np.arange(0)})
 
 
-def test_a_boundary_with_infinite_friction_is_glued():
-    g = {"left": np.inf, "right": 0.2}
-    effects = [*VISCOUS, Friction(["left", "right"], g), Traction("bottom", Sine(3.0, 4.0))]
-    problem = antiplane(square(4), clamped="top", effects=effects)
-    contact = problem.contact
-    left = contact.boundary == "left"
-    assert np.isinf(contact.threshold[left]).all()
-    solution = solve(problem.problem, t_end=2.0, steps=8)
-    assert not solution.u[:, contact.unknown[left]].any()
-    assert solution.u[:, contact.unknown[~left]].any()
-
-
 def test_two_middle_nodes_of_one_edge_are_refused(tmp_path):
     corners, middles = [[0, 0], [1, 0], [1, 1], [0, 1]], [[0.5, 0], [1, 0.5], [0.5, 0.5]]
     points = np.pad([*corners, *middles, [0.5, 1], [0, 0.5], [0.5, 0.52]], ((0, 0), (0, 1)))
@@ -598,7 +561,7 @@ def test_an_effect_finds_the_facets_of_one_boundary_or_of_several():
     """As on = "top" and on = ["top", "left"] of a scene file give them to an own effect."""
     body = antiplane_square(clamped="bottom").discretisation
     one, of_each = body.facets("on", "top")
-    np.testing.assert_array_equal(one, np.sort(body.mesh.boundaries["top"]))
+    assert_array_equal(one, np.sort(body.mesh.boundaries["top"]))
     assert of_each["top"].tolist() == list(range(one.size))
     both, of_each = body.facets("on", ["top", "left"])
     assert set(both[of_each["top"]]) == set(one)

@@ -1,12 +1,15 @@
 """NetCDF files, read back: every number is the solution's, every variable says what it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
-from meshes import report_of, ring, smooth
+from meshes import report_of, ring, run_of, smooth
+from numpy.testing import assert_array_equal
 
 import sweepopt as so
-from sweepopt.fem import Discretisation, Friction, Viscosity, body, grid
+from sweepopt.fem import Discretisation, Friction, Viscosity, grid
 from sweepopt.fem.output import Report, write_netcdf
 
 
@@ -71,7 +74,7 @@ def test_the_solution_is_on_all_nodes(report, written):
         (written.viability, solution.viability()),
         *((written[name], solution.stats[name]) for name in ("certificate", "iterations")),
     ]:
-        np.testing.assert_array_equal(found, expected)
+        assert_array_equal(found, expected)
     assert set(written.boundary.values) == {"outer"}
 
 
@@ -96,9 +99,9 @@ def test_any_solution_becomes_a_dataset():
     dataset = solution.to_xarray()
     assert_described(dataset)
     assert dict(dataset.sizes) == {"time": 10, "unknown": 2, "step": 9}
-    np.testing.assert_array_equal(dataset.u, solution.u)
-    np.testing.assert_array_equal(dataset.velocity, solution.velocity)
-    np.testing.assert_array_equal(dataset.step_end, solution.t[1:])
+    assert_array_equal(dataset.u, solution.u)
+    assert_array_equal(dataset.velocity, solution.velocity)
+    assert_array_equal(dataset.step_end, solution.t[1:])
     assert set(solution.stats.dtype.names) - {"t"} <= set(dataset.variables)
 
 
@@ -117,6 +120,6 @@ def test_any_solution_becomes_a_dataset():
 def test_contact_is_in_units_of_what_slips(kind, sizes, on, expected):
     """A weight times a traction is a force; areas were in m, and stresses of sheets in Pa."""
     space = Discretisation(grid(sizes, [1] * len(sizes)), "left", kind=kind)
-    scene = body(space, [Viscosity(1.0), Friction(on, 0.1)], units="SI")
-    units = Report(scene, scene.solve(t_end=1.0, steps=1)).units
+    scene, run = run_of(space, [Viscosity(1.0), Friction(on, 0.1)], steps=1)
+    units = Report(replace(scene, units="SI"), run).units
     assert tuple(units[name] for name in ("weight", "traction", "force", "stress")) == expected

@@ -9,16 +9,18 @@ import pytest
 from meshes import annulus, square, write_msh
 from test_golden import SCENE_TEXT
 
-import sweepopt as so
 from sweepopt import Constant, InputError, Sine, Table, Triangle
 from sweepopt.fem import (
     BodyForce,
+    Contribution,
+    Discretisation,
     Elasticity,
     Friction,
     Profile,
     Traction,
     Viscosity,
     antiplane,
+    body,
     read_scene,
 )
 
@@ -168,13 +170,11 @@ def test_functions_of_time_are_called_at_the_start_of_a_scene_that_lists_its_tim
 
     class Own:
         def contribute(self, space):
-            f = np.zeros(space.dim)
-            return so.fem.Contribution(loads=[(lambda t: float(late([0.0], t)), f)])
+            return Contribution(loads=[(lambda t: late([0.0], t), np.zeros(space.dim))])
 
-    section = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "left")
-    effects = [so.fem.Viscosity(1.0), so.fem.Friction("bottom", late)]
-    scene = so.fem.body(section, [*effects, Own()], steps=np.linspace(2.0, 3.0, 3))
-    scene.solve()
+    section = Discretisation(square(2), "left")
+    effects = [Viscosity(1.0), Friction("bottom", late)]
+    body(section, [*effects, Own()], steps=np.linspace(2.0, 3.0, 3)).solve()
     assert min(seen) == 2.0
-    with pytest.raises(so.InputError, match=r"steps\[1\] is nan"):
-        so.fem.body(section, effects, steps=[0.0, np.nan])
+    with pytest.raises(InputError, match=r"steps\[1\] is nan"):
+        body(section, effects, steps=[0.0, np.nan])

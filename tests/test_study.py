@@ -158,9 +158,7 @@ def test_a_process_of_ones_own_is_a_problem_like_those_of_the_library(tmp_path):
         run("my.toml", tmp_path)
 
 
-def test_an_error_that_the_reference_cannot_tell_is_no_number(
-    monkeypatch,
-):
+def test_an_error_that_the_reference_cannot_tell_is_no_number(monkeypatch):
     process, u = problem("S03").process(), np.zeros((3, 1))
     near = Reference(u + 1e-6, 1e-6)
     assert np.isnan(near.error(process, u))
@@ -205,21 +203,13 @@ def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(tmp_
     shutil.copy(square.with_suffix(".msh"), tmp_path)
     coarse = square.read_text().replace(text, "refinements = 1").replace("end = 4.0", "end = 1.0")
     (tmp_path / "square.toml").write_text(coarse)
-    one = Study(
-        ("square.toml",),
-        ("midpoint",),
-        ("auto",),
-        (12,),
-        refinements=(1,),
-        repeats=1,
-        folder=tmp_path,
-    )
+    study = Study(("square.toml",), ("midpoint",), ("auto",), (12,), repeats=1, folder=tmp_path)
+    one = replace(study, refinements=(1,))
     study = replace(one, refinements=(0, 1), elements=("P1", "P2"))
     table = run(study, tmp_path)
     assert table.success.all()
     assert list(table.unknowns[table.element == "P1"]) == [20, 72]
-    of_p1 = table.error[table.element == "P1"].to_numpy()
-    of_p2 = table.error[table.element == "P2"].to_numpy()
+    of_p1, of_p2 = (table.error[table.element == one].to_numpy() for one in study.elements)
     assert (of_p2 < 0.5 * of_p1).all()
     # the traction ends in a corner of the square: the orders are those of its singularity
     assert (np.log2(of_p1[:-1] / of_p1[1:]) > 0.7).all()
@@ -332,11 +322,7 @@ def test_a_cluster_that_is_not_there_or_shares_time_is_refused():
 @pytest.mark.slow  # .ci/run runs it
 @pytest.mark.parametrize("where", ["processes", "dask"])
 def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdowns_end_the_study(
-    where,
-    small,
-    tmp_path,
-    monkeypatch,
-    request,
+    where, small, tmp_path, monkeypatch, request
 ):
     gone = Future()
     gone.set_exception(ConnectionError("the scheduler is gone"))
