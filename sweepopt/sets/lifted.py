@@ -124,9 +124,9 @@ class Lifted(ConvexSet):
         )
 
     def magnitude(self) -> float:
-        if self._cut:
-            return super().magnitude()
-        return sum(size * part.magnitude() for part, size in self._norms if size)
+        without_cuts = sum(size * part.magnitude() for part, size in self._norms if size)
+        # a program for each axis takes as long as 20 to 50 steps
+        return super().magnitude() if self._cut and without_cuts == math.inf else without_cuts
 
     def _distance(self, other: ConvexSet) -> float | None:
         if self._cut or not (isinstance(other, Lifted) and self.same_cone(other)):
