@@ -538,6 +538,15 @@ def test_the_bound_of_a_sum_at_rest_is_that_of_the_histories(A):
     assert sol.error_bound() < 1e-4  # 0.13 (5e-4 for A = 1) with chords
 
 
+def test_the_bound_of_a_sum_knows_the_force_of_unknowns_at_rest_where_others_move():
+    """Chords between nodes, in both, gave 1.3 times the error."""
+    waves = [(so.Sine(5.0, 4.0), [1.0, 0.0]), (so.Sine(0.5, 0.25), [0.0, 1.0])]
+    box = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable(waves), so.Sine(0.2, 0.7, offset=1.0))
+    C = box + so.Moving(so.Ball([0.0, 0.0], 1.0), scale=so.Sine(0.2, 1.7, offset=1.0))
+    process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
+    check_close(process, 1.0, 8, "implicit-euler", 1.1, fine=60)
+
+
 def test_a_scale_of_0_at_a_node_does_not_make_the_bound_of_a_sum_loose():
     load = so.Separable([(so.Sine(2.0, 2.0), [1.0, 0.5])])
     bounds = []

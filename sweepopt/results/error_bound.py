@@ -87,9 +87,7 @@ up to SMALL unknowns and exact projections; for other bodies; and for those of m
 unknowns. For more than SMALL unknowns steps at rest do not count, as one takes a fiftieth of the
 time of another: on boxes in 200 to 4,000 unknowns, with 8 of 20 steps at rest, bounds took 15 to 33
 times as long as the run when they counted, 9 to 11 times when not, and were then 1.01 to 1.1 times
-as loose. Beside those of the run a step of the second run is dearer from case to case: with 5 in
-place of 3.6 bounds of balls that are cut, added or mapped took 9 to 20 times as long as the run,
-now 5 to 14 times."""
+as loose. Bounds of balls that are cut, added or mapped take 2 to 9 times as long as the run."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With the work of small bodies bounds took 13 times as long as the run for 120 unknowns,
 11 for 72, 10 for 7 (the work of others: 9, 8); with that of others 47 times for 1,056."""

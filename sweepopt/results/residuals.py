@@ -391,21 +391,24 @@ def _known_curves(
 ) -> list[Array]:
     """A curve in each S through its points at nodes, at the shares theta of the steps.
 
-    They are chords, that of the first step its last point. Where v' = 0 all w have G = 0: there
-    each curve in turn goes on to the force that the others leave.
+    They are chords, that of the first step its last point. Then each in turn goes on to the force
+    that the others leave, but not along the mean of v', as G would become larger: all the way where
+    v' = 0, where all w have G = 0.
     """
-    curves, resting = [], ~slopes.any(axis=(1, 2))
+    curves = []
+    n = slopes.mean(axis=1, keepdims=True)
+    n /= np.maximum(np.linalg.norm(n, axis=2, keepdims=True), np.finfo(float).tiny)
     for points in members:
         first, last = (points[np.maximum(part.intervals.step - k, 0), None] for k in (1, 0))
         curves.append(first + theta[:, :, None] * (last - first))
-    sizes = [TO_BERNSTEIN @ scale.values[resting] for scale in part.scales]
-    scaled = (size * s[resting] for size, s in zip(sizes, curves, strict=True))
-    rest = TO_BERNSTEIN @ force[resting] - sum(scaled)
-    for size, s, shapes in zip(sizes, curves, part.shapes, strict=True):
-        if resting.any() and shapes[0].exact:
-            rest += size * s[resting]
-            s[resting] = _curve_in_shape(shapes, rest, size)
-            rest -= size * s[resting]
+    sizes = [TO_BERNSTEIN @ scale.values for scale in part.scales]
+    rest = TO_BERNSTEIN @ force - sum(size * s for size, s in zip(sizes, curves, strict=True))
+    for k, (size, shapes) in enumerate(zip(sizes, part.shapes, strict=True)):
+        if shapes[0].exact:
+            rest -= n * (rest * n).sum(axis=2, keepdims=True)
+            rest += size * curves[k]
+            curves[k] = _curve_in_shape(shapes, rest, size)
+            rest -= size * curves[k]
     return curves
 
 

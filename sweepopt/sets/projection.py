@@ -122,13 +122,18 @@ class InMetric:
 
     def __init__(self, C: ConvexSet, M: Array) -> None:
         form, self._inverse = C.form(), np.linalg.inv(np.linalg.cholesky(M))
+        self._E = form.E
         self._projector = Projector(form._replace(E=self._inverse @ dense(form.E)))
 
-    def __call__(self, q: Array, start: Start | None) -> tuple[Array, Start]:
-        """About z, the points of the parts, and the normals that add up to -z."""
+    def __call__(self, q: Array, start: Start | None) -> tuple[Array, Start, Array | None]:
+        """About z, the points of the parts, and the normals that add up to -z.
+
+        And the point of C, if they are known to rounding.
+        """
         v = self._inverse @ q
         near = self._projector(v, start)
-        return self._inverse.T @ (near.w - v), near.start
+        w = self._E @ near.start.s if near.exact else None
+        return self._inverse.T @ (near.w - v), near.start, w
 
 
 class Splitting:

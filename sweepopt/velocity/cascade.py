@@ -83,7 +83,11 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         answer = solve(linear, S)
         usable = math.isfinite(answer.z.dot(answer.z))
         known = answer.w if z is None else None  # a refined z needs N z + linear more sharply
-        pair = pair_near(N, linear, S, answer.z, tol, size, known) if usable else None
+        pair = None
+        if answer.normal and answer.w is not None:
+            pair = Proposal(answer.z, answer.w)
+        elif usable:
+            pair = pair_near(N, linear, S, answer.z, tol, size, known)
         if pair is None:
             nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED
             # of a set without proof; inf is a proof that rounding hides
@@ -158,7 +162,9 @@ class Attempt:
         M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
             S = selection.part.copy_for_run()
-        compiled = self.compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
+        if self.compiled is None:
+            self.compiled = self.solver.compile(VelocityProgram(M.small, S, tol < math.inf))
+        compiled = self.compiled
         start = [best[M.unknowns]] if self.from_best and best.any() else []
 
         def solve(q: Array, C: ConvexSet) -> Answer:

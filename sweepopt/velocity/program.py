@@ -70,10 +70,13 @@ class VelocityProgram:
     M : Factor
     cone : ConvexSet
         Any member of the family; only its features are used.
+    proved : bool
+        Whether its velocities are certified.
     """
 
     M: Factor
     cone: ConvexSet
+    proved: bool = True
 
     @cached_property
     def stiffness(self) -> float:
@@ -196,7 +199,8 @@ class StepProgram(Brief):
 class Answer(NamedTuple):
     """What a solver says; nothing of it is believed before the program has certified it.
 
-    The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known.
+    The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known;
+    where the program asks for no proof it may be a point of C to which -z is `normal` to rounding.
     """
 
     z: Array
@@ -204,6 +208,7 @@ class Answer(NamedTuple):
     iterations: int = 0
     status: str = ""
     w: np.ndarray | None = None
+    normal: bool = False
 
 
 Solve = Callable[..., Answer]

@@ -19,7 +19,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import Array, Matrix
-from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean, factorised
+from sweepopt.linalg import EPS, NEGLIGIBLE, dense, euclidean, factorised
 from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
 from sweepopt.velocity.energies import SAME_TANGENT
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
@@ -62,7 +62,7 @@ class Newton(Small):
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last, or from one it is given."""
-        return _Iteration(program.M, self.max_iter)
+        return _Iteration(program, self.max_iter)
 
 
 class _Iteration:
@@ -73,9 +73,13 @@ class _Iteration:
     products cost a digit of the certificate.
     """
 
-    def __init__(self, M: Factor, max_iter: int) -> None:
-        self._M, self._max_iter = M, max_iter
-        self._z = np.zeros(M.dim)
+    def __init__(self, program: VelocityProgram, max_iter: int) -> None:
+        self._M, self._max_iter = program.M, max_iter
+        # nothing rounds -z out of dom sigma if that is the whole space
+        self._proved = program.proved or not all(
+            math.isfinite(part.magnitude()) for part in program.cone.form().parts
+        )
+        self._z = np.zeros(self._M.dim)
         self._key: bytes = b""
         self._step: Callable[[Array, Array], Array] = lambda z, residual: z
         self._metric: tuple[ConvexSet | None, Any] = None, None
@@ -85,20 +89,26 @@ class _Iteration:
         self._z = self._z if start is None else start
         near = not C.exact and C.block == C.dim and start is None
         if near:
-            self._z = self._nearest(q, C)
+            self._z, w = self._nearest(q, C)
+            if w is not None:
+                return Answer(self._z, status="iterated", w=w, normal=True)
         # a start that is exact but for rounding may end with the first residual
         self._z, iterations = self._iterate(q, C, self._z, stalled=int(near))
         return Answer(self._z, iterations=iterations, status="iterated")
 
-    def _nearest(self, q: Array, C: ConvexSet) -> Array:
-        """About z, for a C whose own projection iterates: from one in the metric of M^-1."""
+    def _nearest(self, q: Array, C: ConvexSet) -> tuple[Array, Array | None]:
+        """About z, for a C whose own projection iterates: from one in the metric of M^-1.
+
+        If nothing is to be proved, also the point of C to which -z is normal, if it is known.
+        """
         if self._metric[0] is not C:
             self._metric = C, InMetric(C, dense(self._M.M))
-        z, self._start = self._metric[1](q, self._start)
-        w, _ = self._M.apply(z, q, NEGLIGIBLE)
-        T = C.weights(self._M.diagonal)  # all equal: C is one block
-        C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
-        return z
+        z, self._start, member = self._metric[1](q, self._start)
+        if member is None or self._proved:
+            member, T = None, C.weights(self._M.diagonal)  # all equal: C is one block
+            w, _ = self._M.apply(z, q, NEGLIGIBLE)
+            C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
+        return z, member
 
     def _iterate(self, q: Array, C: ConvexSet, z: Array, stalled: int) -> tuple[Array, int]:
         """Newton steps from z, until it is exact to rounding: the last z, and their number."""
