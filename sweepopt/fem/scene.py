@@ -451,10 +451,7 @@ def build(
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size)
-    known = [one.slopes for one in yields if one.slopes is not None]
-    if size > space.dim and B is not None:  # which u each internal unknown belongs to
-        known.append(sp.csc_array(B)[: space.dim, space.dim :].sorted_indices().indices)
-    digest = space.digest(*known)
+    digest = _digest(space, yields, B)
     if isinstance(u0, Initial):
         with at_path("initial."):
             u0 = u0.state(space, fields, size, digest)
@@ -480,6 +477,14 @@ def build(
         tables=tables,
         **settings,
     )
+
+
+def _digest(space: Discretisation, yields: Sequence[Yield], B: Any) -> str:
+    """A checksum of what the unknowns are, internal ones too."""
+    known = [one.slopes for one in yields if one.slopes is not None]
+    if B is not None and B.shape[0] > space.dim:  # which u each internal unknown belongs to
+        known.append(sp.csc_array(B)[: space.dim, space.dim :].sorted_indices().indices)
+    return space.digest(*known)
 
 
 def _check_words(units: Any, title: Any, **_: Any) -> None:

@@ -604,20 +604,7 @@ class Solution(Displayed):
         >>> bool((same.u == sol.u).all()), same.message == sol.message
         (True, True)
         """
-        with open_run(path) as file:
-            known = dict(file.attrs)
-            data = {name: read(variable) for name, variable in file.variables.items()}
-            over_time = "u" in data and "time" in file["u"].dimensions
-        if not {"status", "scheme"} <= set(known) or "u" not in data:
-            raise InputError(
-                f"{path} is no file of sol.save or save=: it has no u, status and scheme"
-            )
-        if not over_time:
-            raise InputError(
-                f"{path} holds the fields of a scene on its mesh, and u at the end alone: read it "
-                "with xarray.open_dataset(path, engine='h5netcdf'), and write what is to be loaded "
-                "with sol.save or save="
-            )
+        known, data = _read_run(path)
         t, u, velocity = data["time"], data["u"], data["velocity"]
         steps = data["kept_step" if "kept_step" in data else "step"]
         names, number = np.unique(data["solver"], return_inverse=True)
@@ -625,11 +612,8 @@ class Solution(Displayed):
         rows["t"], rows["solver"] = data["step_end"], number
         for name in STATISTICS.keys() - {"solver"}:
             rows[name] = data[name]
-        status, scheme, tol = (
-            Status[known["status"].upper()],
-            SCHEMES[known["scheme"]],
-            known["tol"],
-        )
+        status, scheme = Status[known["status"].upper()], SCHEMES[known["scheme"]]
+        tol = known["tol"]
         plan: Any = _Absent(scheme=scheme, tol=tol, solvers=())
         given: Any = _Absent(dim=u.shape[1], fields={})
         if process is not None:
@@ -719,3 +703,20 @@ class Solution(Displayed):
         nodes = map(states.u, range(len(t)))
         stored = np.array([0.5 * known * u @ process.times_B(u) for u in nodes])
         return Energy(stored - stored[0], *np.cumsum(powers * np.append(0.0, mu), axis=1))
+
+
+def _read_run(path: str | PathLike[str]) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Attributes and variables of a file that `Solution.save` wrote."""
+    with open_run(path) as file:
+        known = dict(file.attrs)
+        data = {name: read(variable) for name, variable in file.variables.items()}
+        over_time = "u" in data and "time" in file["u"].dimensions
+    if not {"status", "scheme"} <= set(known) or "u" not in data:
+        raise InputError(f"{path} is no file of sol.save or save=: it has no u, status and scheme")
+    if not over_time:
+        raise InputError(
+            f"{path} holds the fields of a scene on its mesh, and u at the end alone: read it "
+            "with xarray.open_dataset(path, engine='h5netcdf'), and write what is to be loaded "
+            "with sol.save or save="
+        )
+    return known, data
