@@ -17,6 +17,7 @@ from sweepopt.fem import (
     Elasticity,
     Friction,
     Initial,
+    MaxwellBranch,
     Plasticity,
     SlipWeakening,
     Viscosity,
@@ -410,6 +411,19 @@ def test_a_run_whose_other_half_was_plastic_is_no_start(tmp_path):
     assert not plastic("left", run).problem.u0.any()
     with pytest.raises(InputError, match=r"run: .* is of another mesh .* other cells are plastic"):
         plastic("right", run)
+
+
+def test_a_run_of_a_body_of_other_moduli_is_a_start(tmp_path):
+    """Of which entries of B there are depends on rounding where they cancel."""
+    space = Discretisation(grid([1.0, 1.0], [8, 8]), "left", element="P2")
+
+    def scene(kappa, u0=None):
+        return body(space, [Viscosity(1.0), MaxwellBranch(1.0, kappa=kappa)], u0=u0)
+
+    run = Initial(run=tmp_path / "run.nc")
+    end = scene(1.0).solve(t_end=1.0, steps=1, save=run.run).u[-1]
+    for kappa in (1 / 3, 1.1, 2.0):
+        np.testing.assert_array_equal(scene(kappa, run).problem.u0, end)
 
 
 def test_a_start_is_a_formula_of_each_component(tmp_path):

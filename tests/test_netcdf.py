@@ -43,6 +43,8 @@ def test_every_variable_is_described_in_si_units(written):
         **{"energy_work": "J/m", "relative": "1"},
     }
     assert {name: written[name].attrs["units"] for name in expected} == expected
+    places = {"certificate": "step_end", "displacement": "x y"}  # as CF has them
+    assert {name: written[name].encoding["coordinates"] for name in places} == places
     assert set(written.sizes) == {
         *("time", "step", "node", "triangle", "corner", "contact", "unknown")
     }

@@ -449,9 +449,9 @@ def build(
         _check_held(space, A, B)
     _check_lifts(space, effects, parts)
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
+    digest = _digest(space, effects.values(), yields)
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size)
-    digest = _digest(space, yields, B)
     if isinstance(u0, Initial):
         with at_path("initial."):
             u0 = u0.state(space, fields, size, digest)
@@ -479,12 +479,11 @@ def build(
     )
 
 
-def _digest(space: Discretisation, yields: Sequence[Yield], B: Any) -> str:
+def _digest(space: Discretisation, effects: Iterable[Any], yields: Sequence[Yield]) -> str:
     """A checksum of what the unknowns are, internal ones too."""
     known = [one.slopes for one in yields if one.slopes is not None]
-    if B is not None and B.shape[0] > space.dim:  # which u each internal unknown belongs to
-        known.append(sp.csc_array(B)[: space.dim, space.dim :].sorted_indices().indices)
-    return space.digest(*known)
+    places = [effect.cells(space) for effect in effects if hasattr(effect, "plastic_strain")]
+    return space.digest(*known, *places)
 
 
 def _check_words(units: Any, title: Any, **_: Any) -> None:

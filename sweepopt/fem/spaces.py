@@ -373,8 +373,7 @@ class Discretisation(Brief):
         ----------
         coarse : Discretisation
             Of the same mesh, with no more refinements and no higher degree: each of its functions
-            is one of these too. Where unknowns are turned, up to the change of the
-            normals.
+            is one of these too. Where unknowns are turned, up to the change of the normals.
 
         Returns
         -------

@@ -55,14 +55,18 @@ class StepTable(np.ndarray):
     """`Solution.stats`: a structured array that shows few of its rows, and says which columns."""
 
     def __getitem__(self, key: Any) -> Any:
-        if isinstance(key, str) and key not in COLUMNS:
-            raise InputError(f"stats has no column {key!r}; there are: {', '.join(COLUMNS)}")
+        names = self.dtype.names or ()
+        if isinstance(key, str) and key not in names:
+            raise InputError(f"stats has no column {key!r}; there are: {', '.join(names)}")
         value = super().__getitem__(key)
         return np.asarray(value) if isinstance(key, str) else value
 
     def __repr__(self) -> str:
-        rows = np.array2string(np.asarray(self), threshold=6)
-        return f"{len(self)} steps: {', '.join(COLUMNS)}\n{rows}"
+        plain = np.asarray(self)
+        if self.ndim != 1 or not self.dtype.names:
+            return repr(plain)
+        rows = np.array2string(plain, threshold=6)
+        return f"{len(self)} steps: {', '.join(self.dtype.names)}\n{rows}"
 
     __str__ = __repr__
 

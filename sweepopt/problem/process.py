@@ -147,7 +147,9 @@ class SweepingProcess(Displayed):
     ) -> None:
         self.A, self.B, sizes = _matrices(A, B)
         if callable(C) and not isinstance(C, (type, MovingSet)):
-            takes("C", C, "t", remedy="; a set C(t, u) is so.StateDependent(C, lipschitz)")
+            takes(
+                "C", C, "t", remedy="; one of t and u is given as so.StateDependent(C, lipschitz)"
+            )
             C = MovingSet(C)
         if not isinstance(C, (ConvexSet, MovingSet)):
             raise InputError(

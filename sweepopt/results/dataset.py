@@ -208,6 +208,7 @@ def _check(path: Path) -> None:
 def _dump(dataset: Dataset, file: Any) -> None:
     """Write a dataset into an open file."""
     packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+    where = sorted(dataset.coordinates)
     for name, (dimensions, values, attributes) in dataset.variables.items():
         values = np.asarray(values)
         if values.dtype.kind == "O":  # text as characters, as strings have no checksum
@@ -218,9 +219,12 @@ def _dump(dataset: Dataset, file: Any) -> None:
         for dimension, size in zip(dimensions, values.shape, strict=True):
             if dimension not in file.dimensions:
                 file.dimensions[dimension] = size
+        of_these = [c for c in where if {*dataset.variables[c][0]} <= {*dimensions}]
+        if of_these and name not in {*where, *dimensions}:
+            attributes = attributes | {"coordinates": " ".join(of_these)}
         stored = file.create_variable(name, dimensions, values.dtype, values, **packed)
         stored.attrs.update(attributes)
-    file.attrs.update(dataset.attributes | {"coordinates": " ".join(sorted(dataset.coordinates))})
+    file.attrs.update(dataset.attributes)
 
 
 def read(variable: Any) -> Array:

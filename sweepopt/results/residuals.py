@@ -391,9 +391,9 @@ def _known_curves(
 ) -> list[Array]:
     """A curve in each S through its points at nodes, at the shares theta of the steps.
 
-    They are chords, that of the first step its last point. Then each in turn goes on to the force
-    that the others leave, but not along the mean of v', as G would become larger: all the way where
-    v' = 0, where all w have G = 0.
+    They are chords, that of the first step its last point. Then each in turn that has an exact
+    projection goes on to the force that the others leave, but not along the mean of v', as G would
+    become larger: all the way where v' = 0, where all w have G = 0.
     """
     curves = []
     n = slopes.mean(axis=1, keepdims=True)

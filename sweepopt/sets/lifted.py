@@ -282,7 +282,7 @@ class Lifted(ConvexSet):
 
         For w* = P_C(w + t p) the vector w + t p - w* is normal at w*, so that sigma(C, p) is at
         most <p, w*> + (|w* - w| sup |C| - <w* - w, w*>) / t, which is exact where w* = w.
-        Neighbours of one direction, such as the end of a curve and the next begin, share one.
+        Consecutive p of the same direction share one projection.
         """
         size = self.magnitude() if self._cut else math.inf
         if not math.isfinite(size):

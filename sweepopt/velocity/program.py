@@ -199,8 +199,8 @@ class StepProgram(Brief):
 class Answer(NamedTuple):
     """What a solver says; nothing of it is believed before the program has certified it.
 
-    The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known;
-    where the program asks for no proof it may be a point of C to which -z is `normal` to rounding.
+    The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known.
+    If `normal`, w is a point of C and -z is normal to C at w, both up to rounding.
     """
 
     z: Array
