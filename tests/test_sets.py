@@ -733,6 +733,15 @@ def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count, full):
     assert found.stats["relative"].max() <= 1e-9
 
 
+def test_a_large_intersection_is_projected_on():
+    E = sp.eye_array(400) + 0.5 * sp.eye_array(400, k=1)
+    C = so.image(E, so.Box(-np.ones(400), np.ones(400))) & so.Ball(np.zeros(400), 12.0)
+    v = 2 * np.random.default_rng(0).normal(size=400)
+    w = C.project(v)
+    assert all(part.contains(w, 1e-12) for part in C.operands)
+    assert C.normal_pair(v - w, w, np.ones(400)).gap == 0.0
+
+
 def test_the_cone_of_one_unknown_is_taken_by_every_solver():
     C = so.Moving(so.image([[1.5]], so.Orthant(1)), center=lambda t: np.array([2 * t]))
     for solver in ("auto", "osqp", "clarabel"):
