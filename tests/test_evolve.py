@@ -47,11 +47,12 @@ def test_tiny_steps_on_a_large_state_lose_no_motion():
 
 
 class Lying(so.Clarabel):
-    """A solver that says "solved" with a wrong answer."""
+    """A solver that says "solved", and that its wrong answer is normal."""
 
     def compile(self, program):
         n = program.M.dim
-        return lambda q, C: Answer(np.full(n, 7.0), np.zeros(C.offsets.size), 1, "solved")
+        z, y = np.full(n, 7.0), np.zeros(program.cone.offsets.size)
+        return lambda q, C: Answer(z, y, 1, "solved", program.M.M @ z + q, normal=True)
 
 
 def hard():

@@ -125,7 +125,7 @@ class Lifted(ConvexSet):
 
     def magnitude(self) -> float:
         without_cuts = sum(size * part.magnitude() for part, size in self._norms if size)
-        # a program for each axis takes as long as 20 to 50 steps
+        # programs for each axis took a fifth of the time of a bound of a mapped cut ball
         return super().magnitude() if self._cut and without_cuts == math.inf else without_cuts
 
     def _distance(self, other: ConvexSet) -> float | None:

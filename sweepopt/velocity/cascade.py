@@ -84,7 +84,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         usable = math.isfinite(answer.z.dot(answer.z))
         known = answer.w if z is None else None  # a refined z needs N z + linear more sharply
         pair = None
-        if answer.normal and answer.w is not None:
+        if tol == math.inf and answer.normal and answer.w is not None:  # no solver is a proof
             pair = Proposal(answer.z, answer.w)
         elif usable:
             pair = pair_near(N, linear, S, answer.z, tol, size, known)

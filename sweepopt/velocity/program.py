@@ -200,7 +200,8 @@ class Answer(NamedTuple):
     """What a solver says; nothing of it is believed before the program has certified it.
 
     The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known.
-    If `normal`, w is a point of C and -z is normal to C at w, both up to rounding.
+    If `normal`, w is a point of C and -z is normal to C at w, both up to rounding; this is used
+    only where nothing is to be proved.
     """
 
     z: Array
