@@ -166,7 +166,7 @@ class MovingSet(Operators):
             raise type(error)(f"{where}: {error}") from None
         if not isinstance(C, ConvexSet):
             raise InputError(
-                f"C(t) at t = {t:g} must be a set, got {type(C).__name__}; return one, or, "
+                f"C(t) at t = {t:g} must be a set, got {shown(C)}; return one, or, "
                 "if the function says where C(t) is, give so.Moving(set, center=function)"
             )
         return C

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import HUGE, Matrix, matrix, number, vector
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
@@ -303,7 +303,7 @@ def image(M: Any, C: Any) -> Any:
     5.0
     """
     if not isinstance(C, (ConvexSet, MovingSet)):
-        raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
+        raise InputError(f"image(M, C): C must be a set, got {shown(C)}")
     return images(M)(C)
 
 
@@ -366,7 +366,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
 def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     if not isinstance(D, ConvexSet):
         remedy = "a set that a function of t moves is so.Moving(C, center=f)"
-        raise InputError(f"{what}: D must be a set, got {type(D).__name__}; {remedy}")
+        raise InputError(f"{what}: D must be a set, got {shown(D)}; {remedy}")
     require_same_dim(what, C, D)
 
 
