@@ -141,6 +141,10 @@ class Aligned(ConvexSet):
         joined = self._joined(blocks, np.zeros(rows.T.shape))
         return self._to(joined.T)
 
+    def is_beyond(self, w: Array, distance: float) -> bool:
+        r, _ = self._scale
+        return any(S.is_beyond(x, distance / r) for S, x in self._split(self._back(w)))
+
     def normal(self, v: Array) -> Array:
         v = self._back(v)
         p = self._joined([S.normal(x) for S, x in self._split(v)], v)

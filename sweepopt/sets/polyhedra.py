@@ -318,6 +318,10 @@ class Polyhedron(ConvexSet):
             left = left[~serves]
         return points
 
+    def is_beyond(self, w: Array, distance: float) -> bool:
+        violation = self.rows @ w - self.offsets - self._rounding(w)
+        return bool((violation / self._lengths > distance).any())
+
     def derivative(self, v: Array) -> Array | None:
         normal = self._exact_normal(v)
         if normal is None:

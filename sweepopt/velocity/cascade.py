@@ -173,16 +173,17 @@ class Attempt:
         return by_program(M, solve, S, tol)
 
 
-def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool) -> list[Attempt]:
+def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, small: bool) -> list[Attempt]:
     """The solvers of a program, in the order in which they are asked.
 
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
-    better conditioned: without it 9 hard families miss 1e-9. For sets that are given anew at every
-    time those come first that compile next to nothing: polytopes in 3 to 8 unknowns take 1 ms in
-    place of 6.
+    better conditioned: without it 9 hard families miss 1e-9. If `small`, those come first that
+    compile next to nothing and end with a normal pair. It is for sets that are given anew at every
+    time (polytopes in 3 to 8 unknowns take 1 ms in place of 6), and where nothing is to be proved
+    and each length of a step has a matrix (bounds of polyhedra took 1.4 to 1.7 times as long).
     """
     solvers, selection, behind = choose(solver, S, tol), S.selection, []
-    if anew and solver == "auto":
+    if small and solver == "auto":
         solvers = tuple(sorted(solvers, key=lambda one: not isinstance(one, Small)))
     if M.small is M and selection is not None and selection.shift is None:
         few, part = selection.unknowns, selection.part
@@ -251,7 +252,7 @@ class Cascade:
             isinstance(part, (Box, Balls)) or not part.polyhedral
             for part in map(shape_of, of.S.form().parts)
         )
-        self._attempts = attempts(solver, M, of.S, tol, anew)
+        self._attempts = attempts(solver, M, of.S, tol, anew or not proved)
 
     def serves(self, inclusion: Inclusion, S: ConvexSet) -> bool:
         """Whether its programs are those of this inclusion and this set."""

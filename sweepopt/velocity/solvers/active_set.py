@@ -172,7 +172,7 @@ class ActiveSet(Small):
                     shortest = _shortest(L, rows, bend + 0 * rows.h, corrected)
                     if shortest is None:
                         break
-                    x, z = shortest
+                    x, z, active = shortest
                     w = corrected + L @ x
                     rounded = M.rounding(z, euclidean(q / M.root))
                     curved = rows.curvature @ rows.blocks
@@ -180,6 +180,10 @@ class ActiveSet(Small):
                     # three refinements of what L rounds: without them polyhedra beside jumps of
                     # 1e8 are not met
                     if stays and (k >= 3 or rounded <= NEGLIGIBLE * euclidean(x)):
+                        if not program.proved and not curved.any():
+                            y = np.linalg.lstsq(rows.G[active].T, z)[0]
+                            z = np.minimum(y, 0.0) @ rows.G[active]  # rounding is in the cone too
+                            return Answer(z, iterations=1, status="solved", w=w, normal=True)
                         break
                     # what L L^T misses of M goes to the linear term
                     corrected = M.precisely(z, q, -(L @ (L.T @ z)))
@@ -209,8 +213,8 @@ class Touching(NamedTuple):
     point: Array
 
 
-def _shortest(L: Array, rows: Touching, bend: Array, q: Array) -> tuple[Array, Array] | None:
-    """The solution of the bent program of `ActiveSet.compile`, as x with w = q + L x, and z.
+def _shortest(L: Array, rows: Touching, bend: Array, q: Array) -> tuple[Array, Array, Array] | None:
+    """The solution of the bent program of `ActiveSet.compile`: x with w = q + L x, z, active rows.
 
     None where rounding keeps the method from an answer.
     """
@@ -227,7 +231,7 @@ def _shortest(L: Array, rows: Touching, bend: Array, q: Array) -> tuple[Array, A
     if shortest is None:
         return None
     x = scipy.linalg.solve_triangular(R, bent + shortest.u, lower=True, trans=1)
-    return x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
+    return x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1), shortest.active
 
 
 def _touching(C: ConvexSet, w: Array) -> Touching | None:

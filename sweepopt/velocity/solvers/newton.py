@@ -93,8 +93,9 @@ class _Iteration:
             if w is not None:
                 return Answer(self._z, status="iterated", w=w, normal=True)
         # a start that is exact but for rounding may end with the first residual
-        self._z, iterations = self._iterate(q, C, self._z, stalled=int(near))
-        return Answer(self._z, iterations=iterations, status="iterated")
+        self._z, iterations, w = self._iterate(q, C, self._z, stalled=int(near))
+        known = w is not None
+        return Answer(self._z, iterations=iterations, status="iterated", w=w, normal=known)
 
     def _nearest(self, q: Array, C: ConvexSet) -> tuple[Array, Array | None]:
         """About z, for a C whose own projection iterates: from one in the metric of M^-1.
@@ -110,21 +111,30 @@ class _Iteration:
             C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
         return z, member
 
-    def _iterate(self, q: Array, C: ConvexSet, z: Array, stalled: int) -> tuple[Array, int]:
-        """Newton steps from z, until it is exact to rounding: the last z, and their number."""
+    def _iterate(
+        self, q: Array, C: ConvexSet, z: Array, stalled: int
+    ) -> tuple[Array, int, Array | None]:
+        """Newton steps from z, until it is exact to rounding: the last z, and their number.
+
+        If nothing is to be proved, until rounding is negligible, and the point of C to which that
+        -z is normal.
+        """
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
         smallest = math.inf
         for iteration in range(self._max_iter):
             w, size_z = self._M.apply(z, q, NEGLIGIBLE)
             v = w - T * z
-            residual = C.project(v) - w
+            nearest = C.project(v)
+            residual = nearest - w
             size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
             rounding = EPS * forces
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
+            if not self._proved and size <= NEGLIGIBLE * forces:
+                return (nearest - v) / T, iteration, nearest
             if size <= rounding or (size <= 1e3 * rounding and stalled):
-                return z, iteration
+                return z, iteration, None
             if not self._key or (iteration and size >= SAME_TANGENT * smallest):
                 D = C.blocks(v)
                 if D is None or not self._turn(D, T):
@@ -135,7 +145,7 @@ class _Iteration:
             if not math.isfinite(following @ following):
                 break
             smallest, z = min(smallest, size), following
-        return z, iteration
+        return z, iteration, None
 
     def _turn(self, D: list[Blocks], T: Array) -> bool:
         """Whether there is a tangent for the derivative D."""
