@@ -282,28 +282,18 @@ class Lifted(ConvexSet):
 
         For w* = P_C(w + t p) the vector w + t p - w* is normal at w*, so that sigma(C, p) is at
         most <p, w*> + (|w* - w| sup |C| - <w* - w, w*>) / t, which is exact where w* = w.
-        Consecutive p of the same direction share one projection.
         """
         size = self.magnitude() if self._cut else math.inf
         if not math.isfinite(size):
             return super().supports_along(p, w)
+        begin = basis(w.shape[1] - 1, np.array([0.0, 0.5, 1.0])) @ w
         lengths = np.linalg.norm(p, axis=2)
-        sigma, some, t = np.zeros_like(lengths), lengths > 0, AHEAD * size
-        if not some.any():
-            return sigma
-        begin = (basis(w.shape[1] - 1, np.array([0.0, 0.5, 1.0])) @ w)[some]
-        n = p[some] / lengths[some, None]
-        turns = (np.abs(np.diff(n, axis=0)) > ROUNDING).any(axis=1)
-        group = np.cumsum(np.append(0, turns))
-        # of each the w that is furthest along n
-        best = np.lexsort(((n * begin).sum(axis=1), group))[np.append(turns, True)]
-        far = self.project_rows(begin[best] + t * n[best])
-        way = far - begin[best]
-        excess = np.linalg.norm(way, axis=1) * size - (way * far).sum(axis=1)
-        of_one = (n[best] * far).sum(axis=1) + excess / t + 10 * ROUNDING * AHEAD * size
-        # |sigma(C, p) - sigma(C, q)| <= |p - q| sup |C|
-        sigma[some] = of_one[group] + size * np.linalg.norm(n - n[best][group], axis=1)
-        return sigma * lengths
+        t = AHEAD * size / np.where(lengths > 0, lengths, 1.0)
+        far = self.project_rows((begin + t[:, :, None] * p).reshape(-1, self.dim)).reshape(p.shape)
+        way = far - begin
+        excess = np.linalg.norm(way, axis=2) * size - (way * far).sum(axis=2)
+        rounding = 10 * ROUNDING * AHEAD * size * lengths
+        return np.asarray((p * far).sum(axis=2) + excess / t + rounding)
 
     def normal(self, v: Array) -> Array:
         return self._nearest(v).p if self._blocks is None else self._blocks.normal(v)
