@@ -328,12 +328,17 @@ def made_of_rows(kind, random):
     narrows = so.Sine(0.3, 1.7, offset=1.0)
     breathes = so.Table([0.0, 0.7, 2.0], [1.0, 0.6, 1.2])
     box = so.Moving(so.Box([-1.5, -1.2], [1.4, 1.6]), so.Separable(waves), breathes)
+    drawn = so.VectorTable([0.0, 0.5, 2.0], [[0.0, 0.0], [4.0, -3.0], [-1.0, 2.0]])
+    two = so.Separable([(so.Constant(), 0.8), (narrows, 0.3), (breathes, -0.2)])
+    rows = so.Polyhedron([[1.0, 1.0]], so.VectorTable([0, 2], [[0.9], [0.5]]))
     return {
         "P & C": lambda: P & box,
         "C & D": lambda: box & so.Polyhedron([[1.0, 1.0]], [0.7]),
         "2P + v": lambda: 2 * P + [0.3, -0.2],
         "v - (P & C)": lambda: [0.1, 0.2] - (P & box),
         "product": lambda: so.product(-P, box),
+        "v - a table": lambda: [0.2, 0.1] - so.Moving(so.Box([-1.5, -1.2], [1.4, 1.6]), drawn, two),
+        "table & rows": lambda: so.Moving(so.Box([-1.5, -1.2], [1.4, 1.6]), drawn, two) & rows,
         "boxes scaled apart": lambda: so.product(-box, so.Moving(so.Box(-1, 1), scale=narrows)),
         "P + c": lambda: P + so.Moving(so.Point([0.2, 0.1]), so.Separable(waves)),
         "C + D": lambda: box + so.Moving(so.Box([-1, 0], [0, 2]), scale=narrows),
@@ -342,6 +347,7 @@ def made_of_rows(kind, random):
 
 
 OF_ROWS = {"P & C": 0.3, "C & D": 0.0, "2P + v": 0.3, "v - (P & C)": 0.0, "product": 0.3}
+OF_ROWS |= {"v - a table": 0.3, "table & rows": 0.3}
 OF_ROWS |= {"on two of three": 0.0, "boxes scaled apart": 0.3, "P + c": 0.3, "C + D": 0.0}
 
 
@@ -407,13 +413,40 @@ def test_moved_rows_that_are_bounds_of_many_single_unknowns_have_the_bound_of_a_
     assert bounds[0] == pytest.approx(float(bounds[1]), rel=0.05)
 
 
-def test_a_half_line_that_closes_to_a_ray_has_no_infinite_bound():
+def test_a_half_line_that_closes_to_a_ray_has_a_guaranteed_bound():
     # its rows have one of zeros, 0 <= scale(t), which the coefficients of the scale miss
     scale = so.Sine(0.5, period=1.0, offset=0.5)
     C = so.Moving(so.HalfSpace(1.0, 1.0), so.Sine(2.0, 1.3), scale) & so.Box(-np.inf, 9.0)
-    sol = so.solve(so.SweepingProcess(1.0, 1.0, C, 0.0), t_end=1.0, steps=10)
-    with pytest.warns(so.BoundWarning, match="nearly empty"):
-        assert sol.error_bound() < 1.0
+    check_close(so.SweepingProcess(1.0, 1.0, C, 0.0), 1.0, 10, "sdirk2", 2, 0.99, fine=500)
+
+
+@pytest.mark.parametrize("steps, guaranteed", [(1, True), (4, True), (4, False)])
+def test_rows_that_leave_little_room_have_a_guaranteed_bound_unless_it_is_none(steps, guaranteed):
+    """Coefficients of the cubic of a sine over more than a period may have no common point."""
+    width, load = so.Sine(0.5, 0.8, offset=1.0), so.Sine(1.5, 1.3)
+    if not guaranteed:
+        width = so.Sine(0.5, 0.8, offset=0.5)
+    C = so.Polyhedron([[1.0], [-1.0]], so.Separable([(width, [1.0, 1.0]), (load, [1.0, -1.0])]))
+    sol = so.solve(so.SweepingProcess(0.1, 1.0, C, 0.0), t_end=2.0, steps=steps)
+    if not guaranteed:
+        with pytest.warns(so.BoundWarning, match="next to empty at times: give"):
+            sol.error_bound()
+        return
+    exact = so.solve(sol.process, t_end=2.0, steps=1, scheme="exact").exact
+    times = divided(sol.t, 50)
+    close_bound(sol, times, exact(times), 8)
+
+
+def test_rows_of_a_table_that_close_to_a_point_have_a_guaranteed_bound():
+    G = np.array([[1.0, 0.0], [-1.0, 0.2], [0.0, 1.0], [0.0, -1.0]])
+    h = so.Separable(
+        [
+            (so.Table([0, 0.9, 1.1, 2], [1.0, 0, 0, 1]), np.ones(4)),
+            (so.Table([0.0, 0.7, 2.0], [0.0, 1.3, -0.4]), G @ [1.0, 0.5]),
+        ]
+    )
+    process = so.SweepingProcess(0.3 * np.eye(2), np.eye(2), so.Polyhedron(G, h), np.zeros(2))
+    check_close(process, 2.0, 6, "sdirk2", 4)
 
 
 def test_the_bound_of_sets_without_proofs_is_not_guaranteed():

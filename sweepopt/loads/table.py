@@ -161,6 +161,12 @@ class VectorTable(Table):
         """Entries of f(t)."""
         return int(self.values.shape[1])
 
+    @property
+    def terms(self) -> tuple[tuple[Table, Array], ...]:
+        """A table and a direction for each entry, as those of `Separable`."""
+        one = np.eye(self.dim)
+        return tuple((Table(self.times, phi), one[k]) for k, phi in enumerate(self.values.T))
+
     def __call__(self, t: ArrayLike) -> Any:
         """f(t), shape (dim,) of a number and (k, dim) of k times."""
         at = self._inside(t)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ import numpy as np
 
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError
+from sweepopt.linalg import row_lengths
 from sweepopt.problem import (
     ONE,
     Motion,
@@ -78,6 +80,12 @@ PARTS_OF_STEP = 3
 SETS_OF_STEP = 8
 """Sets of a function t -> C on each step: four times as many give half the bound. With 8 a bound
 takes 6 times as long as the run of a box."""
+PARTS_OF_ROWS = (1, 8)
+"""Parts of a step with rows that move: 8 if a set of coefficients is empty with 1."""
+NEARLY_EMPTY = (
+    "C(t) is next to empty at times: give a set that closes to a point as so.Moving(set, center, "
+    "scale), and to others more steps"
+)
 LEAST_STIFFNESS = 8
 """int |r'| is computed on steps with a larger step * Lam only. On others it does not make the bound
 of |e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, and with y >=
@@ -200,16 +208,15 @@ def residuals(
         points = _points_of_several(data, nodes.t[1:], forces, speed)
     elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
         points = [(members - data.center.at(nodes.t[1:])) / scale]
-    model = _model(norms, data, reason, nodes, variation, points)
-    try:
-        known = bool(model.summands) and model.motion.center.bounded
-        for r, (S, *_) in model.summands:
-            known = known and (S.certifiable or not reason) and r.bounded
-        return _bounds(norms, nodes, curves, model), "" if known else reason
-    # coefficients of a polynomial may be no offsets of a set that is nearly a point
-    except EmptySetError as error:
-        reason = f"C(t) is nearly empty at times ({error})"
-        return _bounds(norms, nodes, curves, _on_steps(process, nodes)), reason
+    for parts in PARTS_OF_ROWS if data.offsets else (1,):
+        model = _model(norms, data, reason, nodes, variation, points, parts)
+        # coefficients of a polynomial may be offsets of no set on long steps
+        with suppress(EmptySetError):
+            known = bool(model.summands) and model.motion.center.bounded
+            for r, (S, *_) in model.summands:
+                known = known and (S.certifiable or not reason) and r.bounded
+            return _bounds(norms, nodes, curves, model), "" if known else reason
+    return _bounds(norms, nodes, curves, _on_steps(process, nodes)), NEARLY_EMPTY
 
 
 def _points_of_several(data: Motion, times: Array, forces: Array, speed: Array) -> list[Array]:
@@ -230,8 +237,15 @@ def _unknown(C: AnySet, data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
     if not data.summands:
         known = all(hasattr(phi, "variation") for phi in histories_of(C, inside=False))
-        kind = "made of sets that move separately" if known else "a function of time"
-        return f"C(t) is {kind}: write it as a Moving set, or take error_bound(variation=)"
+        if not known:
+            return (
+                "C(t) is a function of time: write it as a Moving set, in a scene with a history "
+                "in the place of t in a formula, or take error_bound(variation=)"
+            )
+        return (
+            "C(t) is made of sets that move separately: write it as a Moving set, or take "
+            "error_bound(variation=)"
+        )
     parts = [(data.name, data.offsets or data.center)]
     summands: Any = data.summands
     for scale, S in summands:
@@ -244,7 +258,7 @@ def _unknown(C: AnySet, data: Motion) -> str:
         if not f.bounded:
             return (
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
-                "so.Table, or take error_bound(variation=)"
+                "so.Table, in a scene by a history, or take error_bound(variation=)"
             )
     return ""
 
@@ -256,6 +270,7 @@ def _model(
     nodes: Nodes,
     variation: Callable[[float], float] | None,
     members: list[Array] | None,
+    parts: int,
 ) -> _Model:
     """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
@@ -264,7 +279,7 @@ def _model(
     summands = [(r, [S]) for r, S in moving.summands] if moving else []
     if moving and summands and all(r.function is None for r, _ in summands):
         sharp = members is not None or all(S.sharp_gaps for _, (S,) in summands)
-        intervals = smooth_intervals(moving, nodes.t, 1 if sharp else PARTS_OF_STEP)
+        intervals = smooth_intervals(moving, nodes.t, parts if sharp else PARTS_OF_STEP)
         return _Model(moving, intervals, summands, np.zeros(len(intervals.step)), members)
     process = norms.process
     model = _on_steps(process, nodes)
@@ -458,6 +473,9 @@ def _within_rows(
     assert isinstance(S, Polyhedron)
     error = h.error @ np.abs([shape for _, shape in f.terms] or np.ones((1, f.dim)))
     limits = TO_BERNSTEIN @ h.values - error[:, None]
+    limits += ROUNDING * np.abs(h.values).max(axis=1, keepdims=True)
+    of_scales = row_lengths(S.G) == 0  # 0 <= scale(t), which holds
+    limits[..., of_scales] = np.maximum(limits[..., of_scales], 0.0)
     rows = S.project_rows((TO_BERNSTEIN @ aim).reshape(-1, S.dim), limits.reshape(-1, f.dim))
     w = rows.reshape(aim.shape)
     slack = np.maximum(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from types import NoneType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from sweepopt.errors import EmptySetError, InputError, result_of, shown
 from sweepopt.linalg import require_semidefinite
 from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
-from sweepopt.sets.base import ConvexSet, Operators
+from sweepopt.sets.base import DENSE, ConvexSet, Operators
 from sweepopt.sets.shapes import Point
 
 
@@ -226,8 +225,9 @@ class Moving(MovingSet):
 
     @property
     def summands(self) -> Summands | None:  # type: ignore[override]
-        """None where a function moves the center, or several histories the scale."""
-        if isinstance(self.scale, Separable) or not isinstance(self.center, (Separable, NoneType)):
+        """None where a function moves the center, or a table more than DENSE unknowns."""
+        few = isinstance(self.center, VectorTable) and self.dim <= DENSE
+        if not (self.center is None or few or isinstance(self.center, Separable)):
             return None
         terms = () if self.center is None else self.center.terms
         if self.scale is None:

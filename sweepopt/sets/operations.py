@@ -150,7 +150,7 @@ def _with_rows(
             if isinstance(C, MovingSet):
                 bases[k], terms = _moving_rows(C, linear)
                 moves += [(k, phi, S) for phi, S in terms]
-                scales += [C.scale] if isinstance(C, Moving) and C.scale else []
+                scales += [_terms(C.scale)] if isinstance(C, Moving) and C.scale else []
         made = operation(*bases)
         if type(made) is Aligned and made.unknowns is not None and made.parts[0] is bases[-1]:
             return MovingOffsets(made, operands[1].offsets)  # an image on some unknowns
@@ -166,7 +166,8 @@ def _with_rows(
     # the last rows say that no scale is negative
     rows = np.eye(len(G) + len(scales))
     terms = [(phi, h @ rows[: d.size]) for phi, h in terms]
-    terms += zip(scales, rows[d.size :], strict=True)
+    of_scales = zip(scales, rows[d.size :], strict=True)
+    terms += [(phi, r * row) for scale, row in of_scales for phi, r in scale]
     return MovingOffsets(Polyhedron(rows[:, : d.size] @ G, 0 * rows[0]), Separable(terms))
 
 
@@ -175,7 +176,7 @@ def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
 
     A linear operation makes boxes of boxes.
     """
-    if isinstance(C, MovingOffsets) and isinstance(C.offsets, Separable):
+    if isinstance(C, MovingOffsets) and hasattr(C.offsets, "terms"):
         return C.shape, [(phi, C.shape.with_offsets(h)) for phi, h in C.offsets.terms]
     if not isinstance(C, Moving) or C.summands is None or C.dim > DENSE:
         raise NoHalfspacesError
@@ -184,7 +185,13 @@ def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
         S = Polyhedron(*S.halfspaces().inequalities())
     base, G = S.with_offsets(0 * S.offsets), np.eye(S.dim) if S.singleton else S.halfspaces().N
     moved = [(phi, S.with_offsets(G @ f)) for phi, f in C.summands.center]
-    return base, [(C.scale or Constant(), S), *moved]
+    scaled = _terms(C.scale or Constant())
+    return base, [*((phi, S.with_offsets(r * S.offsets)) for phi, r in scaled), *moved]
+
+
+def _terms(scale: Any) -> list[tuple[Any, float]]:
+    """Histories and numbers that a scale is the sum of."""
+    return [(phi, r.item()) for phi, r in scale.terms] if hasattr(scale, "terms") else [(scale, 1)]
 
 
 @partial(over_time, linear=True)

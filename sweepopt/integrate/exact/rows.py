@@ -38,7 +38,7 @@ from sweepopt.checks import Array, at_path
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum
 from sweepopt.linalg import EPS, dense
-from sweepopt.loads import Table, VectorTable
+from sweepopt.loads import VectorTable
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
 from sweepopt.sets import NoHalfspacesError, facets, parallel_rows, shortest_on
 
@@ -199,9 +199,8 @@ def _halfspaces(moving: Motion) -> tuple[Array, Terms, int]:
 
 def _closed_forms(load: TimeFunction, name: str) -> Terms:
     """The terms of a load whose histories are all known in closed form."""
-    if isinstance(table := load.function, VectorTable):  # a table for each entry
-        columns = [Table(table.times, column) for column in table.values.T]
-        return tuple(zip(columns, np.eye(table.dim), strict=True))
+    if isinstance(load.function, VectorTable):
+        return load.function.terms
     if load.function is not None:
         raise InputError(
             f"the process has a black-box {name}: the breakpoints of a function are not known; "
