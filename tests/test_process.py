@@ -316,12 +316,21 @@ def test_many_operations_on_sets_work_or_say_what_to_do():
     for _ in range(300):
         many = so.product(many, so.Ball(0, 1))
     assert many.support(np.ones(301)) == 301
+    cut = wide = disc
+    for _ in range(250):  # deeper than Python's stack
+        cut, wide = cut & box, wide + 0.001 * box
+    assert repr(cut).startswith("Intersection(dim 2, Ball(")
+    assert cut.magnitude() <= np.sqrt(2)
+    assert wide.support([1.0, 0.0]) == pytest.approx(1.25, rel=1e-12)
+    flat = disc & box & so.HalfSpace([1.0, 0.0], 0.6)
+    np.testing.assert_allclose(flat.project([9.0, 0.0]), [0.6, 0.0])
     swap, moving = [[0.0, 1], [1, 0]], so.Moving(disc, lambda t: [t, 0])
     for start, operation in (
         (moving, lambda C: C + v),
         (moving, lambda C: so.image(swap, C)),
         (disc, lambda C: so.image(swap, C)),
         (disc, lambda C: so.image(swap, C) if C.depth % 2 else C + v),
+        (disc, lambda C: C & so.Ball([0, 0], 2.0) if C.depth % 2 else C + 0.01 * box),
     ):
         C = start
         while C.depth < 50:

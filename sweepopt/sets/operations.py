@@ -213,7 +213,8 @@ def add(C: ConvexSet, other: Any) -> Any:
         return Box(C.lower + other.lower, C.upper + other.upper)
     if isinstance(C, Ball) and isinstance(other, Ball):
         return Ball(C.center + other.center, C.radius + other.radius)
-    return Sum(Form.added(C.form(), other.form()), C, other)
+    C = Sum(Form.added(C.form(), other.form()), C, other)
+    return nested(C, *C.operands)
 
 
 @partial(over_time, linear=True)
@@ -246,7 +247,8 @@ def intersect(C: ConvexSet, D: Any) -> Any:
         return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
     have_rows = (isinstance(shape_of(S), (Box, Polyhedron)) and not S.singleton for S in (C, D))
     if C.dim > ACTIVE_DIM or not all(have_rows):
-        return Intersection(Form.common(C.form(), D.form()), C, D)
+        C = Intersection(Form.common(C.form(), D.form()), C, D)
+        return nested(C, *C.operands)
     (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
