@@ -177,11 +177,9 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             fault = "is there twice" if found else "is missing"
             cases = [one for one in header if one.lower() == name.lower() and not found]
             hint = f"; did you mean {cases[0]}?" if cases else ""
-            # of a table alone: a scene of a stranger may name any file
-            if header and not cases and Path(path).suffix == ".csv":
-                named = any(one[:1].isalpha() for one in header)
-                hint = f": {', '.join(header):.200}"
-                hint += "" if named else "; write a line of names above"
+            # the line itself is not shown: a stranger's scene may name any file
+            if not any(one[:1].isalpha() for one in header):
+                hint = "; write a line of names above"
             if len(header) == 1 and (mark := re.search("[;\t]", header[0])):
                 hint = f"; it is separated by {mark[0]!r}, write commas between the cells"
             raise InputError(

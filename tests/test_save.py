@@ -357,6 +357,13 @@ for size, process, settings in (
         assert "run.nc cannot be written (File too large)" in str(error), error
         assert np.array_equal(sol.u[1:], whole.u[sol.steps + 1])
         print(len(sol.t), len(sol.stats))
+    try:
+        whole.save({file!r})
+    except so.SaveError as error:
+        assert "run.nc cannot be written (File too large)" in str(error), error
+        assert error.solution is whole
+    else:
+        assert size > 50_000  # as it is compressed
 """
 
 

@@ -19,6 +19,7 @@ from sweepopt.errors import (
     BoundWarning,
     CheckpointWarning,
     InputError,
+    SaveError,
     Status,
     SweepoptError,
     shown,
@@ -558,11 +559,23 @@ class Solution(Displayed):
 
     @checks.with_checks
     def save(self, path: str | PathLike[str]) -> None:
-        """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does."""
+        """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does.
+
+        Raises
+        ------
+        SaveError
+            If the file cannot be written; nothing of it stays.
+        """
         file = writable("path", path)
         if file.suffix != ".nc":
             raise InputError(f"path is {shown(str(path))}; a NetCDF file must end with .nc")
-        write_dataset(dataset_of(self), file)
+        try:
+            write_dataset(dataset_of(self), file)
+        except OSError as error:
+            why = (
+                f"path: {file} cannot be written ({error.strerror}); free the disk or name another"
+            )
+            raise SaveError(why, solution=self) from error
 
     @classmethod
     @checks.with_checks
