@@ -747,6 +747,19 @@ def support_is_lipschitz_in_hausdorff_distance(entry, s, rng):
         assert 2 * (dP + dQ) * distance + max(entry.tol, 1e-7) * unit**2 >= (P - Q) @ (P - Q)
 
 
+def truncated_sets_are_at_most_eight_times_as_far_apart(entry, s, rng):
+    """Adly and Haddad, Lemma 2.3: cut with a ball of twice the distance of 0 to both or more."""
+    C, v, r = s.C, rng.normal(size=s.C.dim), rng.random()
+    for D, distance in ((C + v, np.linalg.norm(v)), (C + so.Ball(np.zeros(C.dim), r), r)):
+        nearest = [E.project(np.zeros(C.dim)) for E in (C, D)]
+        R = (2 + rng.random()) * max(map(np.linalg.norm, nearest)) + rng.random() * distance
+        one, two = (E & so.Ball(np.zeros(C.dim), R) for E in (C, D))
+        for first, second in ((one, two), (two, one)):
+            x = first.project(far_and_near(rng, C.dim))
+            apart = np.linalg.norm(second.project(x) - x)
+            assert apart <= 8 * distance + 10 * max(entry.tol, 1e-7) * size(x, C.offsets)
+
+
 def distance_bound_bounds_the_hausdorff_distance(entry, s, rng):
     """|sigma(C, z) - sigma(D, z)| <= |z| bound, and the same for the distances of points."""
     seed = int(rng.integers(2**20))
@@ -934,6 +947,7 @@ LAWS = {
     supports_add_in_sums_and_products: 1,
     intersection_with_a_large_ball_changes_nothing: 1,
     support_is_lipschitz_in_hausdorff_distance: 1,
+    truncated_sets_are_at_most_eight_times_as_far_apart: 1,
     distance_bound_bounds_the_hausdorff_distance: 1,
     derivative_is_the_slope_of_the_projection: 3,
     rows_are_the_set: 2,

@@ -60,6 +60,7 @@ def test_what_shows_a_claim_is_there():
     "file, test, place",
     [
         ("laws.py", "support_is_lipschitz_in_hausdorff_distance", "Lemma 2.1"),
+        ("laws.py", "truncated_sets_are_at_most_eight_times_as_far_apart", "Lemma 2.3"),
         (
             "test_evolve.py",
             "test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets",

@@ -147,7 +147,11 @@ def test_a_solution_that_is_loaded_without_its_process_or_with_another_says_so(t
         so.Solution.load(file, other)
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_a_missing_file_is_named(tmp_path, monkeypatch):
+    (tmp_path / "locked.nc").write_bytes(b"of another user")
+    monkeypatch.setattr(np, "memmap", Mock(side_effect=PermissionError(13, "Permission denied")))
+    with pytest.raises(so.InputError, match=r"locked.nc cannot be read \(Permission denied\)"):
+        so.Solution.load(tmp_path / "locked.nc")
     for absent in (tmp_path / "sol.nc", "name" * 1000):
         with pytest.raises(so.InputError, match="there is no file"):
             so.Solution.load(absent)

@@ -196,7 +196,10 @@ def write_dataset(dataset: Dataset, path: Path) -> None:
 
 def _check(path: Path) -> None:
     """Raise DamagedFileError if a file is not what was written, before HDF5 reads a byte of it."""
-    content = np.memmap(path, np.uint8, "r") if path.stat().st_size else np.zeros(0, np.uint8)
+    try:
+        content = np.memmap(path, np.uint8, "r") if path.stat().st_size else np.zeros(0, np.uint8)
+    except OSError as error:
+        raise InputError(f"path: {path} cannot be read ({error.strerror})") from None
     before, last = np.split(content, [-len(MARK) - hashlib.sha256().digest_size])
     if last.tobytes() != MARK + hashlib.sha256(before.data).digest():
         raise DamagedFileError(
