@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sweepopt import InputError, cli
 from sweepopt.fem import (
     BodyForce,
+    Dashpot,
     Discretisation,
     Elasticity,
     Friction,
@@ -247,6 +248,23 @@ def test_the_slip_at_a_slanted_corner_is_that_along_the_tangent(axes):
     assert_allclose(abs(slip.traction), 0.05, rtol=1e-9)
     up = scene.displacement(solution)[:, slip.contact.node, 1]
     assert_allclose(abs(slip.displacement), abs(up) * sine, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "points, motion", [(["x + 0.3 * y", "y"], [0, 1]), (["x + 0.3 * z", "y", "z"], [0, 1, 1])]
+)
+def test_friction_on_a_slanted_wall_that_is_held_along_x_takes_the_tangential_velocity(
+    points, motion
+):
+    """It took all of the velocity that is free: 4.4 % too much for the wall of the plane."""
+    d = len(points)
+    mesh, kind = grid([1.0] * d, [2] * d, points), ("plane strain", "solid")[d - 2]
+    space = Discretisation(mesh, [], kind=kind, held={"right": "x"})
+    scene = body(space, [Dashpot("body", 1.0), Friction("right", 0.5)])
+    area, along = np.hypot(1.0, 0.3), 0.3 / np.hypot(1.0, 0.3)  # the normal is (1, ..., -0.3)
+    expected = 0.5 * area * np.sqrt(np.dot(motion, motion) - along**2)
+    z = space.interpolate([str(v) for v in motion])
+    assert scene.problem.dissipation.support(z) == pytest.approx(expected, rel=1e-12)
 
 
 T = [0.0, 0.37, 1.13, 1.71, 2.0]

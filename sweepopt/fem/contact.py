@@ -452,7 +452,7 @@ def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Arr
         along = (tangents * normal).sum(axis=2)
         others = rubs & (slot > 0)
         corner = np.linalg.norm(along * others, axis=1, keepdims=True) > SMOOTH
-        tangents = tangents - (along * corner)[..., None] * normal
+        tangents = tangents - along[..., None] * normal
         rubs = np.where(corner, rubs & (np.linalg.norm(tangents, axis=2) > PARALLEL), others)
     return tangents * rubs[..., None]
 
