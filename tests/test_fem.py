@@ -398,7 +398,7 @@ def test_an_abaqus_file_has_its_sets_or_is_refused(tmp_path):
     assert set(read_mesh(path).boundaries) == set(lines)
     for text, fault in (
         (NODES + SETS, "has no triangles"),
-        (NODES + BLOCKS + SETS + NODES, "several parts with nodes"),
+        (NODES + BLOCKS + SETS + NODES, "several blocks of nodes"),
         (NODES + BLOCKS + "*INSTANCE\n1.0, 0.0\n", "a keyword makes or moves"),
         (NODES + BLOCKS + "*NMAP\n", "a keyword makes or moves"),
         (NODES.replace("*NODE", "*NODE, SYSTEM=C") + BLOCKS, "a keyword makes or moves"),

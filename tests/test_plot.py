@@ -497,6 +497,18 @@ def test_times_of_pictures_are_in_the_unit_that_suits_the_run(end, unit, seconds
         assert panel.xaxis.get_major_formatter()(2.5) == f"2.5{unit}"
 
 
+def test_the_front_of_plastic_strains_is_drawn_on_its_way_through_the_ring():
+    """It passes in 3 of 66 steps, which six even times miss."""
+    scene = so.scene("ring", changes={"domain.element": "P1"})
+    solution = scene.solve()
+    titles = [panel.get_title() for panel in scene.plot(solution, "yielding").axes[:-1]]
+    times = [float(title.removeprefix("t = ").removesuffix(" s")) for title in titles]
+    drawn = [abs(solution.t - time).argmin() for time in times]  # titles are rounded
+    share = (scene.plastic_strain(solution) > 0)[drawn].mean(axis=1)
+    assert ((share > 0.1) & (share < 0.9)).sum() >= 2
+    assert times[-1] == 3.0
+
+
 def test_a_loop_marks_its_start(run):
     (panel,) = draw(run, "loop").axes
     (line,) = panel.lines

@@ -37,7 +37,7 @@ def read_abaqus(content: bytes) -> meshio.Mesh:
             or (keyword == "INSTANCE" and rows)
             for keyword, given, rows in sections
         ),
-        "several parts with nodes": keywords.count("NODE") > 1,
+        "several blocks of nodes": keywords.count("NODE") > 1,
         "elements with a set and others without one": None in blocks and any(blocks),
         "elements behind sets": "ELEMENT" in dropwhile("ELSET".__ne__, keywords),
         "parts of a set in several places": len(set(names)) < len(names),
@@ -46,8 +46,8 @@ def read_abaqus(content: bytes) -> meshio.Mesh:
     for fault, found in faults.items():
         if found:
             raise InputError(
-                f"has {fault}, which would be mixed up; write one part, and behind all elements "
-                "each set once, as numbers"
+                f"has {fault}, which would be mixed up; write one part with one "
+                "*NODE, and behind all elements each set once, as numbers"
             )
     return meshio.read(io.StringIO(text), "abaqus")
 

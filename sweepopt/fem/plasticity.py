@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-import skfem
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
@@ -153,10 +152,7 @@ class Plasticity(Record):
 
     def _place(self, body: Discretisation) -> Place:
         """The points of strains where it acts."""
-        place = body.place("on", self.on or (), strains=True)
-        if not isinstance(place.basis, skfem.CellBasis):
-            raise InputError("on: name subdomains, or 'body', not boundaries")
-        return place
+        return body.place("on", self.on or (), strains=True)
 
     def _moduli(self, body: Discretisation) -> list[Array]:
         """lam and mu of the scene's elasticity at points where it acts."""

@@ -56,13 +56,21 @@ At = Callable[["Report", Array], Field]
 
 
 def picture(report: Report, field: At) -> Any:
-    """The field at up to six even times, the last of them the end.
+    """The field at up to six times, the last of them the end.
+
+    Times are even; of plastic strains they are those when they have reached another fifth of the
+    cells, as a front may pass in a few steps.
 
     Returns
     -------
     matplotlib Figure
     """
     steps = even_steps(report.solution, 6)
+    if field is yielding:
+        every = np.arange(len(report.solution.t) - 1)
+        reached = np.count_nonzero(report.at("plastic_strain", every), axis=1)
+        fronts = np.searchsorted(reached, reached[-1] * np.arange(1, 6) / 5)
+        steps = np.unique([*fronts, every[-1]])
     return _page(report, field(report, steps), steps)[0]
 
 

@@ -444,6 +444,9 @@ class Discretisation(Brief):
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
         elif on and (tuple(on) != (BODY,) or BODY in boundaries):
+            if strains:
+                there = ", ".join(inside) or "none"
+                raise InputError(f"{what}: name subdomains, or 'body'; the subdomains are: {there}")
             return self.on_boundary(what, on, nodal=nodal)
         elif strains:
             return self.whole
