@@ -138,6 +138,16 @@ def test_the_table_of_effects_counts_what_is_there():
     assert ellipses.sets["all effects"].endswith(" ellipses in R^2")
 
 
+def test_the_table_of_effects_has_steps_of_the_whole_run():
+    """The first five of the chain are at rest, which tells nothing of what a step costs."""
+    rows = compare_effects("chain", changes={"domain.mesh.nodes": 20})
+    assert rows.solvers["all effects"] != rows.solvers["without body_force"] == "at rest"
+    # the long steps between them would be refused here
+    explicit = {"solve": {"scheme": "catching-up"}, "effects.elasticity.kappa": 10.0}
+    rows = compare_effects("square", changes=explicit, without=["traction"])
+    assert set(rows.solvers) == {"", "at rest"}
+
+
 FLAT = {
     "domain": {"mesh": {"sizes": [1.0, 1.0], "cells": [3, 3]}, "clamped": "top"},
     "time": {"end": 1.0, "steps": 10},

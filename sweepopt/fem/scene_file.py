@@ -17,11 +17,19 @@ from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
 from sweepopt.checks import at_path, choice, count, from_table, listed, meaning, number
-from sweepopt.errors import InputError, brought_by, shown, suggestion
+from sweepopt.errors import (
+    InputError,
+    StabilityWarning,
+    SweepoptError,
+    brought_by,
+    shown,
+    suggestion,
+)
 from sweepopt.fem import effects
 from sweepopt.fem.fields import Profile, SlipWeakening
 from sweepopt.fem.initial import Initial
@@ -513,7 +521,8 @@ def compare_effects(
     source, changes, without
         As for `read_scene`.
     steps : int
-        The first steps of the run are taken, of the scene's length; the time of one is the median.
+        How many steps of the scene's length are timed, at even times of the run. The median time
+        is shown.
 
     Returns
     -------
@@ -558,9 +567,21 @@ def effect_costs(
 
 
 def _cost(scene: Scene, steps: int) -> dict[str, Any]:
-    taken = min(steps, scene.steps)
-    solution = scene.solve(t_end=scene.t_end * taken / scene.steps, steps=taken)
-    plan, stats, process = solution.plan, solution.stats, solution.process
+    """Of steps that end at even times of the run; of the first steps where long ones are refused.
+
+    Long steps lead from one of them to the next, then two of its length, as the first is slower.
+    """
+    h, ends = scene.t_end / scene.steps, np.linspace(scene.steps, 0, steps, False, dtype=int)
+    taken = np.unique(np.maximum(np.subtract.outer(ends, [scene.steps, 2, 1, 0]), 0))
+    with catch_warnings():
+        simplefilter("ignore", StabilityWarning)  # of the long ones
+        try:
+            solution = scene.solve(t_end=None, steps=h * taken)
+        except SweepoptError:
+            taken = ends = np.arange(min(steps, scene.steps) + 1)
+            solution = scene.solve(t_end=None, steps=h * taken)
+    plan, process = solution.plan, solution.process
+    stats = solution.stats[np.isin(solution.t[1:], h * ends)]
     nonzeros = [0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B)]
     return {
         "unknowns": plan.unknowns,
