@@ -256,12 +256,12 @@ class Contact(Brief):
     bound: Array
 
     def __len__(self) -> int:
-        return int(self.unknown.shape[0])
+        return len(self.unknown)
 
     @cached_property
     def weight(self) -> Array:
         """w_k, a length, an area or a volume: the sum of its parts, shape (m,)."""
-        return np.asarray(self.parts.sum(axis=1))
+        return self.parts.sum(axis=1)
 
     @property
     def threshold(self) -> Array:
@@ -276,7 +276,7 @@ class Contact(Brief):
     @property
     def on_curve(self) -> bool:
         """Whether all nodes follow one another along curves."""
-        return not bool(np.isnan(self.arc).any())
+        return not np.isnan(self.arc).any()
 
     def of(self, values: ArrayLike) -> Array:
         """Values of the unknowns (last axis) at the nodes, 0 where a component does not slip."""
@@ -293,9 +293,9 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
         return np.concatenate([getattr(one, name) for one in contacts])
 
     unknown, keep, owner = _owners(contacts)
-    threshold, parts = np.bincount(owner, joined("threshold")).astype(float), sp.csr_array((0, 0))
+    threshold = np.bincount(owner, joined("threshold"))
+    parts = sp.csr_array((keep.size, contacts[0].parts.shape[1]))
     for one, rows in zip(contacts, np.split(owner, np.cumsum([*map(len, contacts)])), strict=False):
-        parts.resize(keep.size, one.parts.shape[1])
         ones = np.ones(len(one)), (rows, np.arange(len(one)))
         parts = parts.maximum(sp.csr_array(ones, shape=(keep.size, len(one))) @ one.parts)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
@@ -304,16 +304,13 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     unknown = unknown[keep]
     if (unknown >= 0).sum(axis=1).max() == 1:
         unknown = unknown.max(axis=1)
-    weight = np.asarray(parts.sum(axis=1))
+    weight = parts.sum(axis=1)
     return Contact(unknown, node, points, boundary, arc[keep], parts, threshold / weight)
 
 
 def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
     """A row of unknowns for each node, the first nodes with each, and at which of these all are."""
-    rows = [one.unknown.reshape(len(one), -1) for one in contacts]
-    width = max(row.shape[1] for row in rows)
-    gaps = [((0, 0), (0, width - row.shape[1])) for row in rows]
-    every = np.vstack([np.pad(*one, constant_values=-1) for one in zip(rows, gaps, strict=True)])
+    every = np.vstack([one.unknown.reshape(len(one), -1) for one in contacts])
     _, first, group = np.unique(every, axis=0, return_index=True, return_inverse=True)
     keep = np.sort(first)
     return every, keep, np.searchsorted(keep, first[group.ravel()])
@@ -343,14 +340,14 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     nodes, N = place.nodes.T, body.scalar.N
 
     def moving_bound(k: Indices, t: float) -> Array:
-        return np.asarray(_thresholds(law, place, N, t, law.history)[k] / weight[k])
+        return _thresholds(law, place, N, t, law.history)[k] / weight[k]
 
     weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
     parts = _parts(body, place)
     threshold, at_start = (
         _thresholds(law, place, N, body.start, phi) for phi in (None, law.history)
     )
-    finite = bool(np.isfinite(threshold).all())
+    finite = np.isfinite(threshold).all()
     by_formula = in_time(law.g) or in_time(law.p) or (law.history is not None and not finite)
     if law.slip is not None and (law.history is not None or by_formula or not finite):
         raise InputError(
@@ -398,12 +395,11 @@ def _at_nodes(body: Discretisation, nodes: Indices, rows: Array) -> sp.csr_array
 
 def _thresholds(law: Friction, place: Place, size: int, t: float, phi: Any) -> Array:
     """Friction forces, times a history, at which the nodes slip, of all nodes, shape (size,)."""
+    factor = 1.0 if phi is None else float(phi(t))
     with np.errstate(invalid="ignore"):
-        forces = (
-            (1.0 if phi is None else float(phi(t))) * prod(law.values_at(place, t)) * place.basis.dx
-        )
+        forces = factor * prod(law.values_at(place, t)) * place.basis.dx
     forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
-    return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
+    return np.bincount(place.nodes.T.ravel(), forces.ravel(), size).astype(float)
 
 
 def _parts(body: Discretisation, place: Place) -> sp.csr_array:
@@ -578,13 +574,13 @@ class Slip:
     @cached_property
     def total(self) -> Array:
         """int |u'| dt of each node, shape (m,)."""
-        return np.asarray(np.diff(self.t) @ self.speed)
+        return np.diff(self.t) @ self.speed
 
     def statistics(self) -> SlipStatistics:
         """The slip statistics of the run."""
         slipping = self.state != 0
         shares = slipping @ self.contact.shares  # of each step
-        most = int(np.argmax(shares))
+        most = np.argmax(shares)
         return SlipStatistics(
             ever=float(slipping.any(axis=0) @ self.contact.shares),
             most=float(shares[most]),

@@ -163,7 +163,7 @@ def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
     free = body.with_unknowns(clamped=(), held={}, turned=())
     rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
     strain = (rows @ u.reshape(len(u), -1).T).T.reshape(len(u), *place.basis.dx.shape, -1)
-    return np.asarray(2 * mu[..., None] * strain)
+    return 2 * mu[..., None] * strain
 
 
 def released(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any, list[Force]]:
@@ -682,7 +682,7 @@ class PrescribedDisplacement(Record):
                     f"on: {some} of {every} nodes of {', '.join(self.on)} are held along d; clamp "
                     "or hold all of it"
                 )
-        lift = np.asarray(T @ along)
+        lift = T @ along
         moving = [one.on for one in body.effects if isinstance(one, PrescribedDisplacement)]
         still = set(body.clamped or ()) - set(chain.from_iterable(moving))
         for name, nodes, directions in held_directions(body):
@@ -1024,8 +1024,7 @@ def _stiffness(body: Discretisation, effect: Viscosity | Elasticity) -> sp.csc_a
         a, b = strain(u), strain(v)
         return sum(c * a[j] * b[i] for (i, j), c in law.items())
 
-    restricted: sp.csc_array = body.restrict(place.matrix(form))
-    return restricted
+    return body.restrict(place.matrix(form))
 
 
 def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
@@ -1049,7 +1048,7 @@ def _restrict(body: Discretisation, where: str, x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
     if size and abs(restricted).sum() <= TURNED * size:
-        raise InputError(f"{where} is clamped or held; nothing moves there")
+        raise InputError(f"{where} is clamped or held, so that its displacement is given")
     return restricted
 
 
@@ -1078,6 +1077,6 @@ def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place:
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
         where = f"on: all of {', '.join(getattr(effect, 'on', (BODY,)))}"
-        return np.asarray(_restrict(body, where, place.vector(form)))
+        return _restrict(body, where, place.vector(form))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

@@ -84,7 +84,7 @@ class Profile:
                 f"at covers [{at[0]:g}, {at[-1]:g}] but {self.along} runs over "
                 f"[{where.min():g}, {where.max():g}]; extend the profile"
             )
-        return np.asarray(np.interp(where, at, values))
+        return np.interp(where, at, values)
 
 
 Datum = float | str | Mapping[str, float] | Profile | Callable[..., ArrayLike]

@@ -16,8 +16,6 @@ from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path
 from sweepopt.results import field_names, open_run, read
 
-DISPLACEMENT = Coefficient("u", vector=True)
-
 
 @dataclass(frozen=True)
 class Initial(Record):
@@ -46,7 +44,7 @@ class Initial(Record):
 
     u: Datum | Sequence[Datum] | None = None
     run: str | Path | None = None
-    data = (DISPLACEMENT,)
+    data = (Coefficient("u", vector=True),)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -76,7 +74,7 @@ class Initial(Record):
             with open_run(path) as run:
                 kinds = read(run["field"]) if "field" in run.variables else labels
                 u, digest_of_run = run["u"], run.attrs.get("unknowns_digest", "")
-                last: Array = u[-1] if "time" in u.dimensions else u[...]
+                last = u[-1] if "time" in u.dimensions else u[...]
         except (InputError, DamagedFileError) as error:
             raise InputError(f"run: {str(error).removeprefix('path: ')}") from None
         if last.shape != u0.shape or not np.array_equal(kinds, labels):

@@ -100,12 +100,12 @@ def grid(
     for k, line in enumerate(lines):
         for name, end in zip(SIDES[k], line[[0, -1]], strict=True):
             boundaries[name] = np.flatnonzero((mesh.p[k, mesh.facets] == end).all(axis=0))
-    if points is None:
-        return mesh.with_boundaries(boundaries)
-    if len(listed("points", points)) != len(lines):
-        raise InputError(f"points must be {len(lines)} formulas, one for each of x, y, z")
-    places = listed("points", points, lambda name, one: Coefficient(name).values(one, mesh.p))
-    return type(mesh)(np.array(places), mesh.t).with_boundaries(boundaries)
+    if points is not None:
+        if len(listed("points", points)) != len(lines):
+            raise InputError(f"points must be {len(lines)} formulas, one for each of x, y, z")
+        places = [Coefficient(f"points[{k}]").values(one, mesh.p) for k, one in enumerate(points)]
+        mesh = type(mesh)(np.array(places), mesh.t)
+    return mesh.with_boundaries(boundaries)
 
 
 def chain(nodes: int) -> skfem.Mesh:
@@ -308,7 +308,7 @@ def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
 
 def _refuse_cells(mesh: skfem.Mesh, bad: NDArray[np.bool_], fault: str) -> None:
     if np.any(bad):
-        k = int(np.argmax(bad))
+        k = np.argmax(bad)
         place = ", ".join(f"{x:g}" for x in mesh.p[:, mesh.t[:, k]].mean(axis=1))
         what = ("interval", "triangle", "tetrahedron")[mesh.dim() - 1]
         repair = "repair the mesh, or the points of a grid"

@@ -208,15 +208,14 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
         "files": files,
     }
     text = json.dumps(summary, default=lambda array: array.tolist())
-    plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
-    return plain
+    return json.loads(text, parse_constant=lambda _: None)
 
 
 def largest(report: Report) -> dict[str, Any]:
     """The largest displacement, with its time and place."""
     u = report.scene.displacement(report.solution)
     size = np.abs(signed_lengths(u))
-    when, where = np.unravel_index(int(np.argmax(size)), size.shape)
+    when, where = np.unravel_index(np.argmax(size), size.shape)
     point = report.body.points[where]
     return {"value": size[when, where], "time": report.solution.t[when], "point": point}
 

@@ -48,13 +48,15 @@ def refusal(scene: Scene, name: str) -> str:
     one = contact is not None and contact.unknown.ndim == 1
     along = "friction along a boundary", one and contact is not None and contact.on_curve
     flows = any(getattr(effect, "flows", False) for effect in scene.effects)
-    tells = bool(scene.stress_laws())
     plastic = any(hasattr(effect, "plastic_strain") for effect in scene.effects)
     needs = {
         "displacement": ("a body in the plane or along a line", dimension < 3),
         "surface": ("a solid", dimension == 3),
         "flow": ("a section with a yield stress", dimension == 2 and flows),
-        "stress": ("a body in the plane or a solid whose strains tell it", dimension > 1 and tells),
+        "stress": (
+            "a body in the plane or a solid whose strains tell it",
+            dimension > 1 and scene.stress_laws(),
+        ),
         "yielding": ("a body in the plane with plasticity", dimension == 2 and plastic),
         "arrows": ("friction where two components slip", contact is not None and not one),
         "contact": along,
@@ -217,7 +219,7 @@ def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, s
     body, t = scene.discretisation, solution.t
     if scene.lifts:
         history, d = scene.lifts[0]
-        size = float(np.linalg.norm(d[body.nodes], axis=0).max()) or 1.0
+        size = np.linalg.norm(d[body.nodes], axis=0).max() or 1.0
         words = "prescribed displacement", "force on the body along\nthe prescribed motion"
         return history(t) * size, _reaction(scene, solution, d) / size, words
     forces = np.array([scene.load(time)[: body.dim] for time in t])
@@ -274,7 +276,7 @@ def _slip_range(slip: Slip) -> tuple[float, float, str]:
     """The place between the outermost nodes that ever slip, and some more, with its axis's name."""
     place, name = _place(slip)
     where = place[slip.total > 0] if slip.total.any() else place
-    more = 0.15 * float(np.ptp(where))
+    more = 0.15 * np.ptp(where)
     low, high = max(where.min() - more, place.min()), min(where.max() + more, place.max())
     if high - low < np.ptp(place):
         name += "\n(what is left out never slips)"

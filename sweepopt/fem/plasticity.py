@@ -38,7 +38,6 @@ from sweepopt.fem.effects import (
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.spaces import Discretisation, Place
 
-COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
 LEAST = 1e-7
 """Of 2 mu: with 6e-8 of it B of the plate is indefinite by rounding, with 9e-9 a step of the ring
 takes minutes."""
@@ -85,7 +84,7 @@ class Plasticity(Record):
     Hi: Datum = 0.0
     eta: Datum = 0.0
     on: Sequence[str] | None = None
-    data = COEFFICIENTS
+    data = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""

@@ -177,7 +177,7 @@ class Discretisation(Brief):
     @property
     def components(self) -> int:
         """How many the displacement has."""
-        return 1 if self.lumped or self.kind == "antiplane" else int(self.mesh.dim())
+        return 1 if self.lumped or self.kind == "antiplane" else self.mesh.dim()
 
     @cached_property
     def scalar(self) -> skfem.CellBasis:
@@ -292,7 +292,7 @@ class Discretisation(Brief):
     @property
     def dim(self) -> int:
         """Number of unknowns."""
-        return int(self.free.size)
+        return self.free.size
 
     @cached_property
     def points(self) -> Array:
@@ -361,7 +361,7 @@ class Discretisation(Brief):
                 f"body.basis, got shape {shape}"
             )
         if shape != (size, size):
-            return np.asarray(self.extension.T @ x)
+            return self.extension.T @ x
         restricted = sp.csc_array(self.extension.T @ sp.csc_array(x) @ self.extension)
         restricted.sort_indices()
         return restricted
@@ -397,7 +397,7 @@ class Discretisation(Brief):
             self.nodes, coefficient.parts(function, self.components), strict=True
         ):
             full[dofs] = coefficient.values(datum, self.points.T)
-        return np.asarray(self.restrict(full))
+        return self.restrict(full)
 
     def rows(self, basis: Any, values: Any) -> sp.csr_array:
         """Rows of the unknowns' values at the points of a quadrature, point after point.
@@ -508,7 +508,7 @@ class Place(NamedTuple):
     @property
     def shares(self) -> Array:
         """Weights of the points in means over their cells, shape (cells, points)."""
-        return np.asarray(self.basis.dx / self.basis.dx.sum(axis=1, keepdims=True))
+        return self.basis.dx / self.basis.dx.sum(axis=1, keepdims=True)
 
     def matrix(self, form: Callable[..., Any]) -> sp.csc_array:
         """Integrals of form(u, v, w) for all degrees of freedom."""
@@ -516,7 +516,7 @@ class Place(NamedTuple):
 
     def vector(self, form: Callable[..., Any]) -> Array:
         """Integrals of form(v, w) for all degrees of freedom."""
-        return np.asarray(skfem.LinearForm(form).assemble(self.basis))
+        return skfem.LinearForm(form).assemble(self.basis)
 
 
 def _require_some(what: str, name: str, members: Any) -> None:
