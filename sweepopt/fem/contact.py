@@ -436,9 +436,9 @@ def _slipping(
 def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Array:
     """Tangential parts of the directions of nodes on boundaries that are not held, shape (m, d, d).
 
-    The normal of the boundaries is held, or the first direction of a node, or close to it; else the
-    node is a corner, where all directions have parts in the tangent plane. Without names all are
-    tangential.
+    The normal of the boundaries is held, or the first direction of a node, or close to it; else, or
+    where an axis is held, as on a slanted wall, all directions have parts in the tangent plane.
+    Without names all are tangential.
     """
     slot, tangents = np.arange(body.components), body.frame.basis[nodes]
     rubs = slot >= body.frame.held[nodes, None]
@@ -448,7 +448,10 @@ def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Arr
         along = (tangents * normal).sum(axis=2)
         others = rubs & (slot > 0)
         corner = np.linalg.norm(along * others, axis=1, keepdims=True) > SMOOTH
-        tangents = tangents - along[..., None] * normal
+        axial = [name for name, what in body.held.items() if what != "n"]
+        if axial:
+            corner |= np.isin(nodes, body.on_boundary("held", axial).nodes)[:, None]
+        tangents = tangents - (along * corner)[..., None] * normal
         rubs = np.where(corner, rubs & (np.linalg.norm(tangents, axis=2) > PARALLEL), others)
     return tangents * rubs[..., None]
 

@@ -77,14 +77,14 @@ class Profile:
 
     def __call__(self, x: Array) -> Array:
         where = coordinate("along", self.along, np.asarray(x))
-        at, values = np.asarray(self.at), np.asarray(self.values)
+        at: Any = self.at
         slack = 1e-9 * np.abs(at).max()
         if where.min() < at[0] - slack or where.max() > at[-1] + slack:
             raise InputError(
                 f"at covers [{at[0]:g}, {at[-1]:g}] but {self.along} runs over "
                 f"[{where.min():g}, {where.max():g}]; extend the profile"
             )
-        return np.interp(where, at, values)
+        return np.interp(where, at, np.asarray(self.values))
 
 
 Datum = float | str | Mapping[str, float] | Profile | Callable[..., ArrayLike]

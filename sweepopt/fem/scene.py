@@ -144,7 +144,7 @@ class Scene(Displayed):
 
     def load(self, t: float) -> Array:
         """f(t), shape (dim,)."""
-        return np.zeros(self.problem.dim) if self.force is None else np.asarray(self.force(t))
+        return np.zeros(self.problem.dim) if self.force is None else self.force(t)
 
     def require_run(self, solution: Any) -> None:
         """Refuse what is no run of this scene."""

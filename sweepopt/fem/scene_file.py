@@ -243,8 +243,8 @@ def _scene_of(
         pictures = listed("pictures", pictures, choice, PICTURES)
     tables = effect_tables(file.effects, without)
     body = _construct(Discretisation, file.domain, "domain", folder)
-    there = ", ".join(sorted(body.mesh.boundaries or {})) or "none"
-    missing = MISSING | {"on": f"; the boundaries are: {there}"}
+    there = sorted(body.mesh.boundaries or {})
+    missing = MISSING | {"on": f"; the boundaries are: {', '.join(there) or 'none'}"}
     chosen = {label: _construct(*tables[label], label, folder, missing) for label in tables}
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
     settings["changes"] = (
@@ -582,17 +582,17 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
             solution = scene.solve(t_end=None, steps=h * taken)
     plan, process = solution.plan, solution.process
     stats = solution.stats[np.isin(solution.t[1:], h * ends)]
-    nonzeros = [0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B)]
+    A, B = (0 if M is None else M.count_nonzero() for M in (process.A, process.B))
     return {
         "unknowns": plan.unknowns,
         "nonsmooth_unknowns": plan.nonsmooth_unknowns,
         "sets": _sets(scene),
-        "nonzeros_A": nonzeros[0],
-        "nonzeros_B": nonzeros[1],
+        "nonzeros_A": A,
+        "nonzeros_B": B,
         "path": plan.path,
         "solvers": ", ".join(sorted(set(stats["solver"].tolist()) - {"linear"})),
-        "seconds": float(np.median(stats["seconds"])),
-        "certificate": float(stats["relative"].max()),
+        "seconds": np.median(stats["seconds"]),
+        "certificate": stats["relative"].max(),
     }
 
 

@@ -67,8 +67,8 @@ def picture(report: Report, field: At) -> Any:
     """
     steps = even_steps(report.solution, 6)
     if field is yielding:
-        strain = report.at("plastic_strain", np.arange(steps[-1] + 1))
-        reached = np.count_nonzero(strain, axis=1)
+        every = np.arange(steps[-1] + 1)
+        reached = np.count_nonzero(report.at("plastic_strain", every), axis=1)
         fronts = np.searchsorted(reached, reached[-1] * np.linspace(0.2, 1.0, 5))
         steps = np.unique([*fronts, steps[-1]])
     return _page(report, field(report, steps), steps)[0]

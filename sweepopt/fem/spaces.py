@@ -445,8 +445,9 @@ class Discretisation(Brief):
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
         elif on and (tuple(on) != (BODY,) or BODY in boundaries):
             if strains:
-                there = ", ".join(inside) or "none"
-                raise InputError(f"{what}: name subdomains, or 'body'; the subdomains are: {there}")
+                raise InputError(
+                    f"{what}: name subdomains, or 'body'; there are: {', '.join(inside) or 'none'}"
+                )
             return self.on_boundary(what, on, nodal=nodal)
         elif strains:
             return self.whole
