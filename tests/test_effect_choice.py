@@ -277,6 +277,18 @@ def test_friction_on_a_slanted_wall_that_is_held_along_x_takes_the_tangential_ve
     assert scene.problem.dissipation.support(z) == pytest.approx(expected, rel=1e-12)
 
 
+def test_a_curved_wall_of_two_names_that_is_held_along_its_normal_has_discs():
+    """Of ellipses at the nodes of both names the steps of all would not be Newton's."""
+    bend = ["(1 + z) * cos(0.5 + y)", "x", "(1 + z) * sin(0.5 + y)"]
+    mesh = grid([2.0, 1.5, 1.0], [2, 8, 1], bend)
+    wall = mesh.boundaries["front"]
+    low = mesh.p[0, mesh.facets[:, wall]].mean(axis=0) > 0.3
+    mesh = mesh.with_boundaries({**mesh.boundaries, "a": wall[low], "b": wall[~low]})
+    space = Discretisation(mesh, "back", kind="solid", held={"a": "n", "b": "n"})
+    scene = body(space, [Viscosity(1.0), Friction(["a", "b"], g=0.1)])
+    assert [(one.rows.block, one.metric) for one in scene.yields] == [(2, None)]
+
+
 T = [0.0, 0.37, 1.13, 1.71, 2.0]
 PULL = {"table": {"t": T, "values": [0.0, 1.5, -1.5, 1.2, 0.3]}}
 BOUNDS = {
