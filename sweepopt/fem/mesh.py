@@ -189,7 +189,7 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
 
 
 def check_mesh(mesh: skfem.Mesh) -> None:
-    """Refuse NaN nodes, cells without area or on top of others, and inside-out curved triangles.
+    """Refuse nodes that are NaN or in no cell, and cells without area, doubled or inside out.
 
     Raises
     ------
@@ -201,6 +201,11 @@ def check_mesh(mesh: skfem.Mesh) -> None:
             f"must have intervals, triangles or tetrahedra, not be a {type(mesh).__name__}"
         )
     bounded("nodes", mesh.doflocs.T, "finite coordinates")
+    if (alone := np.setdiff1d(np.arange(mesh.t.max()), mesh.t)).size:
+        where = ", ".join(f"{x:g}" for x in mesh.p[:, alone[0]])
+        raise InputError(
+            f"node {alone[0]} at ({where}) is in no cell; give mesh.remove_unused_nodes()"
+        )
     corners = mesh.p[:, mesh.t]
     edges = corners[:, 1:] - corners[:, :1]
     area, longest = np.linalg.det(edges.T), np.linalg.norm(edges, axis=0).max(axis=0)
