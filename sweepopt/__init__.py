@@ -10,7 +10,7 @@ when it is first used.
 from __future__ import annotations
 
 from importlib import import_module
-from inspect import unwrap
+from inspect import signature, unwrap
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def scene(*source: Any, **options: Any) -> fem.Scene:
     ----------
     source : str, Path or mapping
         A name from `list_scenes`, the path of a TOML file, or TOML text.
-    **options
+    folder, changes, without
         Those of `read_scene`, such as ``changes={"effects.friction.g": 0.5}``.
 
     Returns
@@ -226,3 +226,8 @@ def scene(*source: Any, **options: Any) -> fem.Scene:
     from sweepopt.fem import read_scene
 
     return with_checks(unwrap(read_scene), scene)(*source, **options)
+
+
+scene.__signature__ = signature(  # type: ignore[attr-defined]  # that of read_scene, for help
+    lambda source, *, folder=".", changes=None, without=(): None
+)

@@ -60,7 +60,9 @@ def with_checks(function: Any, owner: Any = None) -> Any:
     owner = owner or function
     call, name = signature(function), owner.__name__
     meant = vars(owner).get("meaning") or getattr(function, "meaning", {})
-    known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
+    every = [one for key, one in call.parameters.items() if key not in ("self", "cls", "_cls")]
+    known = [one.name for one in every if one.kind is not one.VAR_KEYWORD]
+    none = "give them by name" if len(known) < len(every) else "it takes none"
     only = [key for key, one in call.parameters.items() if one.kind is one.KEYWORD_ONLY]
 
     @wraps(function)
@@ -72,7 +74,7 @@ def with_checks(function: Any, owner: Any = None) -> Any:
                 call.bind(*args, **named)
             except TypeError as error:
                 all_names = ", ".join(known)
-                remedy = f"give by name {all_names}" if known else "it takes none"
+                remedy = f"give by name {all_names}" if known else none
                 if only and "missing" not in str(error):
                     remedy = f"give by name, as {only[0]}=...: {', '.join(only)}"
                 fault = f"{name}: {error}; {remedy}"
@@ -172,6 +174,8 @@ def agree(**sizes: int) -> None:
         )
         size = sizes.get("dissipation", sizes.get("C", most))
         hint = "; a set for some unknowns E u is so.image(E.T, set)" * (size < most)
+        if {sizes.get("A"), sizes.get("B")} & {1} and most > 1:
+            hint = f"; a number a of each unknown is a * sp.eye_array({most})"
         if size == 1 < most:
             g = f"g * np.ones({most})"
             hint = f"; a bound g of each unknown is so.Box(-{g}, {g})"
@@ -281,7 +285,7 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
     """A float array of shape (dim,); a scalar counts as one entry."""
     array = floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
-        flat = "; pass its .ravel()" if array.size == max(array.shape) else ""
+        flat = "; flatten it by np.ravel" if array.size == max(array.shape) else ""
         raise InputError(f"{name} must have one axis, got shape {array.shape}{flat}")
     if dim is not None and array.size != dim:
         raise InputError(f"{name} must have {dim} entries, got {array.size}")
@@ -396,7 +400,8 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> Array:
             if entry is None:
                 raise TypeError("None is no number; a function without return gives it")
             if not hasattr(entry, "__float__"):
-                raise TypeError(f"{type(entry).__name__} is no number")
+                remedy = "; give its .toarray().ravel()" if sp.issparse(value) else ""
+                raise TypeError(f"{type(entry).__name__} is no number{remedy}")
         if array.dtype.kind in "SU":
             raise TypeError("text is no number; leave out the quotes")
         if array.dtype.kind not in "iufO":

@@ -180,7 +180,7 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             # the line itself is not shown: a stranger's scene may name any file
             if not any(one[:1].isalpha() for one in header):
                 hint = "; write a line of names above"
-            if len(header) == 1 and (mark := re.search("[;\t]", header[0])):
+            if len(header) == 1 and (mark := re.search("[;\t ]", header[0])):
                 hint = f"; it is separated by {mark[0]!r}, write commas between the cells"
             raise InputError(
                 f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
@@ -204,7 +204,8 @@ def _number(where: str, cell: str) -> float:
         # Python reads 1_0 as 10
         if "_" not in cell and math.isfinite(value := float(cell)):
             return value
-    raise InputError(f"{where}: {shown(cell)} is not a finite number; leave out rows without one")
+    remedy = "write 1.5, not 1,5" if "," in cell else "leave out rows without one"
+    raise InputError(f"{where}: {shown(cell)} is not a finite number; {remedy}")
 
 
 # ---- problems that come with the library: one scene or study a TOML file, its data beside it ----

@@ -199,10 +199,10 @@ class Record:
         given = {name: value for name, value in vars(self).items() if value is not None}
         if "on" in given or ("on" in vars(self) and not hasattr(type(self), "on")):
             object.__setattr__(self, "on", boundary_names("on", vars(self)["on"]))
-        if "history" in given and not callable(given["history"]):
+        history = given.get("history")
+        if isinstance(history, type) or not (history is None or callable(history)):
             raise InputError(
-                "history must be a function of time such as Table or Sine, got "
-                f"{shown(given['history'])}"
+                f"history must be a function of time such as Table or Sine, got {shown(history)}"
             )
         for coefficient in self.data:
             if coefficient.name in given:

@@ -432,7 +432,7 @@ def changed(data: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[str,
     """
     if not isinstance(changes, Mapping):
         raise InputError(f"changes must be a mapping of paths to values, got {shown(changes)}")
-    result = deepcopy(dict(data)) if changes else data
+    result = deepcopy(dict(data))
     for path, value in changes.items():
         if not (isinstance(path, str) and PATH.fullmatch(path)):
             raise InputError(
@@ -441,6 +441,8 @@ def changed(data: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[str,
             )
         table: Any = result
         *before, last = STEP.finditer(path)
+        if before and before[0].group() in ("initial", "solve"):  # which a scene may do without
+            result.setdefault(before[0].group(), {})
         for step in before:
             table = table[_key(path, step, table)]
         table[_key(path, last, table, may_be_new=True)] = value
