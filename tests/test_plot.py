@@ -450,7 +450,7 @@ def test_what_slips_is_shown_alone_with_a_word_of_the_rest_and_what_drives_it_is
         (*below.dataLim.intervalx, below.get_xlabel()),
     ):
         assert 0 < low <= slips.min() <= slips.max() <= high
-        assert name == "arc length along bottom\n(what is left out never slips)"
+        assert name == "arc length along bottom\n(where it slips at some time)"
     (panel,) = draw(run, "loop").axes
     assert panel.get_ylabel() == "force on the body along\nthe prescribed motion"
     assert panel.lines[0].get_ydata()[-1] > 0

@@ -279,7 +279,7 @@ def _slip_range(slip: Slip) -> tuple[float, float, str]:
     more = 0.15 * np.ptp(where)
     low, high = max(where.min() - more, place.min()), min(where.max() + more, place.max())
     if high - low < np.ptp(place):
-        name += "\n(what is left out never slips)"
+        name += "\n(where it slips at some time)"
     return low, high, name
 
 
