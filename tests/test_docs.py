@@ -18,6 +18,7 @@ from cases import slow
 import sweepopt as so
 from sweepopt import fem, sets, study
 from sweepopt.cli import main
+from sweepopt.integrate import SCHEMES
 from sweepopt.io import list_scenes
 
 ROOT = Path(__file__).parent.parent
@@ -48,7 +49,7 @@ def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sweepopt.plot.MOST_FRAMES", 2)  # of animations
     monkeypatch.setattr("sweepopt.fem.pictures.AUTOMATIC", ())
-    known = dict(fem.EFFECTS)
+    known = [(some, dict(some)) for some in (fem.EFFECTS, SCHEMES)]
     head, *parts = page.read_text("utf-8").split("\n## ")
     namespace = {}
     try:
@@ -60,8 +61,9 @@ def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
                 exec(compile(block, page.name, "exec"), namespace)
     finally:
         plt.close("all")
-        for name in fem.EFFECTS.keys() - known.keys():
-            del fem.EFFECTS[name]
+        for some, before in known:
+            for name in some.keys() - before.keys():
+                del some[name]
     for line in capsys.readouterr().out.splitlines():
         if "difference" in line:  # from a formula, or from the same set in another form
             assert float(line.split()[-1]) <= 1e-9, line

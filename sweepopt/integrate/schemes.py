@@ -37,7 +37,7 @@ class Scheme:
     a : tuple of tuples
         Row k has k + 1 entries; its last one is the implicit weight of the stage.
     b, c : tuples
-        Weights of the stages and their times in units of mu.
+        Weights of the stages and their times in units of the step.
     order : float
         For translated sets with smooth loads; infinite if the scheme has no error in time.
     euler_steps : int
