@@ -38,9 +38,11 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
         try:
             n = count("steps", steps)
         except InputError as error:
-            if not (isinstance(steps, (float, np.floating)) and 0 < steps < 1):
+            if isinstance(steps, (int, np.integer)) and not isinstance(steps, bool):
                 raise
-            hint = "for steps of length dt give round(t_end / dt), or the times themselves"
+            hint = "give the times themselves, or so.Adaptive(tol)"
+            if isinstance(steps, (float, np.floating)):
+                hint = "for steps of length dt give round(t_end / dt), or the times themselves"
             raise InputError(f"{error}; {hint}") from None
         if n > MOST_STEPS:
             raise InputError(f"steps is {shown(n)}, more than {MOST_STEPS:.0e}; run it in parts")
