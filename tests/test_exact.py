@@ -236,6 +236,7 @@ COMPOSED = {
     "part": so.product(HEXAGON, so.Box(-1, 2)) & so.HalfSpace([1.0, 1.0, 1.0], 2.0),
     "few": so.image([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]], -0.7 * HEXAGON),
     "flat": so.Polyhedron([[1, 1], [-1, -1], [1, 0], [-1, 0]], [0, 0, 1, 1]) + 0.5 * BOX,
+    "apart": so.Polytope([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]]),
 }
 SHRINKING = so.Table([0, 1, 1.5, 2, 3], [1.2, 0.2, 0.0, 0.0, 1])
 
@@ -252,6 +253,8 @@ def test_composed_sets_and_moving_scales_are_followed(name, scale):
     X, Y = rng.normal(size=(2, n, n))
     load = so.Separable([(so.Sine(2.0, 2.3), np.ones(n)), (so.Sine(1.0, 1.7), rng.normal(size=n))])
     C = so.Moving(shape, load, scale)
+    if name == "apart":  # each with a scale of its own
+        C = C + so.Moving(HEXAGON, scale=SHRINKING)
     process = so.SweepingProcess(X @ X.T + np.eye(n), Y @ Y.T, C, np.zeros(n))
     follows_the_inclusion(process, 1.1)
 

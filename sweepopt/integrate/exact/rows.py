@@ -3,8 +3,8 @@
 C(t) is a polyhedron S, also a sum, image, product or intersection of them, at rest or moved by
 center(t) + scale(t) S = { w : N w <= scale(t) d + N center(t) }, or { w : G w <= h(t) }, all of
 time as data. Multiples, translates, products and intersections of such sets that move have such
-rows too, sums and images of them only where they move by center(t): else they are functions of
-time. So are products of histories.
+rows too; sums where each moves by its own center(t) and scale(t), images where they move by
+center(t): else they are functions of time. So are products of histories.
 
 With the rows a active from tau = 0 on, u = u_s - N_a^T q and
 
@@ -26,8 +26,9 @@ At A = 0 only rows without slack can be active, S = N B N^T and s_k = (k + 1) d_
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 from itertools import pairwise
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -172,29 +173,35 @@ def rows_of(process: SweepingProcess) -> Rows:
 
 def _halfspaces(moving: Motion) -> tuple[Array, Terms, int]:
     """N and d of C(t) = { w : N w <= d(t) }, and how many of the last rows are equations."""
-    if len(moving.summands) != 1:
+    if not moving.summands:
         raise InputError(
-            "the process has a set that is a function of time, or a sum with several scales; "
+            "the process has a set that is a function of time; "
             "write it as so.Moving(shape, center=so.Separable(...)) or so.Polyhedron(G, "
             "so.Separable(...))"
         )
-    ((scale, shape),) = moving.summands
+    scales, shapes = zip(*moving.summands, strict=True)
     load = moving.center if moving.offsets is None else moving.offsets
-    terms, sizes = _closed_forms(load, moving.name), _closed_forms(scale, "scale")
+    terms, count = _closed_forms(load, moving.name), len(shapes)
+    sizes = [_closed_forms(scale, "scale") for scale in scales]
     try:
-        N, d, E, e = facets(shape)
+        N, d, E, e = facets(reduce(add, shapes))
     except NoHalfspacesError as error:
         raise InputError(
             f"the process has a set that is not a polyhedron with known rows: {error}; use auto"
         ) from None
-    # the first row, 0 <= scale(t), has no solution where the scale is negative
-    N = np.vstack([np.zeros(N.shape[1]), dense(N), E])
-    sides = np.concatenate([[1.0], d, e])
+    # the first rows, 0 <= scale(t), have no solution where a scale is negative
+    N = np.vstack([np.zeros((count, N.shape[1])), dense(N), E])
+    of_scales = np.eye(len(N), count)
+    # sum_i r_i S_i has the normals of sum_i S_i, and sides of which each is linear in the r_i
+    of_scales[count:] = np.transpose(
+        [np.append(d, e)] if count == 1 else [[S.support(n) for n in N[count:]] for S in shapes]
+    )
     if moving.offsets is None:
         terms = tuple((phi, N @ f) for phi, f in terms)
     else:
         terms = tuple((phi, np.concatenate([[0.0], f, 0 * e])) for phi, f in terms)
-    return N, (*((phi, r * sides) for phi, r in sizes), *terms), len(e)
+    sides = zip(sizes, of_scales.T, strict=True)
+    return N, (*((phi, r * side) for size, side in sides for phi, r in size), *terms), len(e)
 
 
 def _closed_forms(load: TimeFunction, name: str) -> Terms:
