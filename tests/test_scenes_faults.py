@@ -12,12 +12,12 @@ pytestmark = pytest.mark.slow  # .ci/run runs them
 
 
 def solved(name):
-    """A run of a scene; every step is certified to 1e-6."""
+    """A run of a scene; every step is certified to 1e-10."""
     scene = parse_toml(name, find_scene(name).read_text())
     scene["pictures"] = []
     report = Report(read := read_scene(scene), read.solve())
     assert report.solution.success
-    assert report.solution.stats["relative"].max() <= 1e-6
+    assert report.solution.stats["relative"].max() <= 1e-10
     return report
 
 
