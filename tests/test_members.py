@@ -1,6 +1,5 @@
 """Chords between members of sets that move separately: inside of C(t), their gaps bounded."""
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from test_error_bound import check_close
@@ -105,12 +104,3 @@ def test_a_flat_set_has_no_ball_inside_and_no_guaranteed_bound_where_it_moves_on
     sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=1.0, steps=3)
     with pytest.warns(so.BoundWarning, match="next to empty"):
         assert not sol.error_bound().guaranteed
-    assert sol.error_bound(variation=lambda t: 5 * t).guaranteed
-
-
-def test_nothing_is_proved_of_a_set_of_constraints_that_is_cut():
-    disc = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
-    C = so.Moving(so.Ball([0.0, 0.0], 1.0), so.Separable(WAVES)) & disc
-    sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0]), t_end=0.2, steps=1)
-    with pytest.warns(so.BoundWarning, match="nothing is proved of Constraints"):
-        sol.error_bound()

@@ -205,12 +205,8 @@ def residuals(
     """
     process = norms.process
     data, points = motion(process.C), None
-    reason = _unknown(process.C, data, float(nodes.t[0]))
-    if not (data.summands or reason):
-        for parts in PARTS_OF_ROWS:
-            with suppress(EmptySetError):
-                return _bounds(norms, nodes, curves, _on_chords(process, nodes, speed, parts)), ""
-        reason = NEARLY_EMPTY
+    separate = not data.summands and moves_by_data(process.C)
+    reason = "" if separate else _unknown(process.C, data)
     if not data.disjoint:
         forces = applied(process.A, speed)
         if process.B is not None:
@@ -218,9 +214,12 @@ def residuals(
         points = _points_of_several(data, nodes.t[1:], forces, speed)
     elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
         points = [(members - data.center.at(nodes.t[1:])) / scale]
-    for parts in PARTS_OF_ROWS if data.offsets else (1,):
+    for parts in PARTS_OF_ROWS if data.offsets or separate else (1,):
         # coefficients of a polynomial may be offsets of no set on long steps
         with suppress(EmptySetError):
+            if separate:
+                model = _on_chords(process, nodes, speed, parts)
+                return _bounds(norms, nodes, curves, model), ""
             model = _model(norms, data, reason, nodes, variation, points, parts)
             known = bool(model.summands) and model.motion.center.bounded
             for r, (S, *_) in model.summands:
@@ -248,16 +247,13 @@ def _reach(forces: Array, speed: Array) -> float:
     return float(np.linalg.norm(forces, axis=1).max(initial=0.0) or 1.0) / fastest
 
 
-def _unknown(C: AnySet, data: Motion, start: float) -> str:
+def _unknown(C: AnySet, data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
     if not data.summands:
-        if not moves_by_data(C):
-            return (
-                "C(t) is a function of time: write it as a Moving set, in a scene with a history "
-                "in the place of t in a formula, or take error_bound(variation=)"
-            )
-        S = C.at(start)
-        return "" if S.certifiable else f"nothing is proved of {kind_without_certificate(S)}"
+        return (
+            "C(t) is a function of time: write it as a Moving set, in a scene with a history in "
+            "the place of t in a formula, or take error_bound(variation=)"
+        )
     parts = [(data.name, data.offsets or data.center)]
     summands: Any = data.summands
     for scale, S in summands:
