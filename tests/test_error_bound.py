@@ -377,12 +377,17 @@ def test_a_wrong_velocity_of_the_second_run_is_not_believed():
 def test_a_sampled_bound_says_what_is_not_known():
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     box = so.Box([-1.0, -1.0], [1.0, 1.0])
+    rolling = so.Moving(so.Ball([0.0, 0.0], 2.0), so.Separable([(so.Sine(0.5, 2.0), [1.0, 0.0])]))
     for C, words in (
         (so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t)), r"h\(t\) is a function"),
         (so.Moving(box, lambda t: [t, 0.0]), r"center\(t\) is a function"),
         (so.Moving(box, scale=lambda t: 1.0 + t), r"scale\(t\) is a function"),
         (so.MovingSet(lambda t: box + [t, t]), r"C\(t\) is a function of time: write"),
         (so.MovingSet(lambda t: box) + data.C, r"C\(t\) is a function of time: write"),
+        (
+            rolling & so.Ball([0.0, 0.0], 2.0),
+            r"made of sets that move separately: write",
+        ),
     ):
         sol = so.solve(so.SweepingProcess(data.A, data.B, C, data.u0), t_end=1.0, steps=3)
         with pytest.warns(so.BoundWarning, match=words):

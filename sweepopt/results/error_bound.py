@@ -65,7 +65,7 @@ from sweepopt.integrate import (
 )
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
-from sweepopt.problem import ONE, Norms, SweepingProcess, histories_of, motion
+from sweepopt.problem import ONE, Norms, SweepingProcess, motion
 from sweepopt.results.interpolation import CURVES, Nodes, cubic, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.velocity import Plan
@@ -172,7 +172,7 @@ def error_bound(
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.A.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
-    cuts = breakpoints(histories_of(process.C), run.t[0], run.t[-1])
+    cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     ends = norms.A(run.u)
     largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
@@ -236,7 +236,7 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
     is_data = all(scale.function is None for scale, _ in moving.summands)
     large = process.dim > LARGE
     sharp = all(S.sharp_gaps for S in sets)
-    exact = bool(sets) and moving.disjoint and all(S.exact for S in sets)
+    exact = moving.disjoint and all(S.exact for S in sets)
     by_points = len(sets) == 1 and is_data and not exact and plan.reduction is None
     cheap = exact and sharp and not plan.cones and process.dim <= SMALL
     one_curve = (large and plan.contact is not None) or plan.cones or not sharp

@@ -17,8 +17,8 @@ import numpy as np
 
 from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError, shown
-from sweepopt.loads import History, Separable, Slope, VectorTable, breakpoints
-from sweepopt.problem import SweepingProcess, TimeFunction, applied
+from sweepopt.loads import History, Separable, VectorTable, breakpoints
+from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -58,10 +58,10 @@ class Interpolated(NamedTuple):
     slope_error: Array
 
 
-def smooth_intervals(histories: list[Any], t: Array, parts: int = 1) -> Intervals:
+def smooth_intervals(moving: Motion, t: Array, parts: int = 1) -> Intervals:
     """Equal parts of the steps between the times t, cut at the breakpoints of all histories."""
     equal = np.linspace(t[:-1], t[1:], parts, endpoint=False).ravel()
-    cuts = np.unique(np.concatenate([t, equal, breakpoints(histories, t[0], t[-1])]))
+    cuts = np.unique(np.concatenate([t, equal, breakpoints(moving.histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 
@@ -90,14 +90,6 @@ def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
             for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
                 errors[i, k] = _by_variation(function, history, a, b, samples[i])
     return Interpolated(values, errors[..., 0], errors[..., 1])
-
-
-def chord_errors(phi: Any, times: Array) -> Array:
-    """A bound of sup |phi - its chord| between neighbouring times, with no breakpoint inside."""
-    jumps = any(isinstance(one, Slope) for one in getattr(phi, "factors", (phi,)))
-    if hasattr(phi, "piece") and not jumps:
-        return _derivative(phi, 2, times[:-1], times[1:]) * np.diff(times) ** 2 / 8
-    return np.array([phi.variation(a, b) for a, b in itertools.pairwise(times.tolist())])
 
 
 def _by_variation(

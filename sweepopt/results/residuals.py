@@ -47,12 +47,10 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.results.members import chords, moves_by_data
 from sweepopt.sets import (
     ROUNDING,
     Aligned,
     AnySet,
-    Chords,
     ConvexSet,
     Polyhedron,
     basis,
@@ -137,7 +135,6 @@ class _Model(NamedTuple):
     summands: list[tuple[TimeFunction, list[ConvexSet]]]
     distance: Array
     members: list[Array] | None = None
-    chords: Chords | None = None
 
 
 class _Part(NamedTuple):
@@ -152,7 +149,6 @@ class _Part(NamedTuple):
     scales: list[Interpolated]
     shapes: list[list[ConvexSet]]
     distance: Array
-    place: Array
 
     @classmethod
     def of(cls, model: _Model, part: slice, count: int) -> _Part:
@@ -170,7 +166,6 @@ class _Part(NamedTuple):
             [polynomials(scale) for scale, _ in model.summands],
             [S if len(S) == 1 else S[part] * count for _, S in model.summands],
             np.tile(model.distance[part], count),
-            np.tile(np.arange(len(model.distance))[part], count),
         )
 
 
@@ -205,8 +200,7 @@ def residuals(
     """
     process = norms.process
     data, points = motion(process.C), None
-    separate = not data.summands and moves_by_data(process.C)
-    reason = "" if separate else _unknown(process.C, data)
+    reason = _unknown(process.C, data)
     if not data.disjoint:
         forces = applied(process.A, speed)
         if process.B is not None:
@@ -214,13 +208,10 @@ def residuals(
         points = _points_of_several(data, nodes.t[1:], forces, speed)
     elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
         points = [(members - data.center.at(nodes.t[1:])) / scale]
-    for parts in PARTS_OF_ROWS if data.offsets or separate else (1,):
+    for parts in PARTS_OF_ROWS if data.offsets else (1,):
+        model = _model(norms, data, reason, nodes, variation, points, parts)
         # coefficients of a polynomial may be offsets of no set on long steps
         with suppress(EmptySetError):
-            if separate:
-                model = _on_chords(process, nodes, speed, parts)
-                return _bounds(norms, nodes, curves, model), ""
-            model = _model(norms, data, reason, nodes, variation, points, parts)
             known = bool(model.summands) and model.motion.center.bounded
             for r, (S, *_) in model.summands:
                 known = known and (S.certifiable or not reason) and r.bounded
@@ -237,22 +228,23 @@ def _points_of_several(data: Motion, times: Array, forces: Array, speed: Array) 
     sizes = np.column_stack([scale.at(times)[:, 0] for scale, _ in data.summands])
     sizes = np.maximum(sizes, LEAST_SCALE * sizes.max(axis=0))
     forces = forces - data.center.at(times)
-    outside = forces - _reach(forces, speed) * speed
-    return points_of_sum([S for _, S in data.summands], sizes, outside)
-
-
-def _reach(forces: Array, speed: Array) -> float:
-    """The c for which forces are about as large as c times the speed."""
     fastest = np.linalg.norm(speed, axis=1).max(initial=0.0) or 1.0
-    return float(np.linalg.norm(forces, axis=1).max(initial=0.0) or 1.0) / fastest
+    outside = forces - np.linalg.norm(forces, axis=1).max() / fastest * speed
+    return points_of_sum([S for _, S in data.summands], sizes, outside)
 
 
 def _unknown(C: AnySet, data: Motion) -> str:
     """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
     if not data.summands:
+        known = all(hasattr(phi, "variation") for phi in histories_of(C, inside=False))
+        if not known:
+            return (
+                "C(t) is a function of time: write it as a Moving set, in a scene with a history "
+                "in the place of t in a formula, or take error_bound(variation=)"
+            )
         return (
-            "C(t) is a function of time: write it as a Moving set, in a scene with a history in "
-            "the place of t in a formula, or take error_bound(variation=)"
+            "C(t) is made of sets that move separately: write it as a Moving set, or take "
+            "error_bound(variation=)"
         )
     parts = [(data.name, data.offsets or data.center)]
     summands: Any = data.summands
@@ -287,13 +279,13 @@ def _model(
     summands = [(r, [S]) for r, S in moving.summands] if moving else []
     if moving and summands and all(r.function is None for r, _ in summands):
         sharp = members is not None or all(S.sharp_gaps for _, (S,) in summands)
-        intervals = smooth_intervals(moving.histories, nodes.t, parts if sharp else PARTS_OF_STEP)
+        intervals = smooth_intervals(moving, nodes.t, parts if sharp else PARTS_OF_STEP)
         return _Model(moving, intervals, summands, np.zeros(len(intervals.step)), members)
     process = norms.process
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         return model
-    intervals = smooth_intervals(model.motion.histories, nodes.t, SETS_OF_STEP)
+    intervals = smooth_intervals(model.motion, nodes.t, SETS_OF_STEP)
     middles = 0.5 * (intervals.begin + intervals.end)
     shapes = [process.C.at(t) for t in middles.tolist()]
     halves = np.sort(np.concatenate([nodes.t[:1], middles, intervals.end]))
@@ -306,24 +298,6 @@ def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
     n = len(nodes.velocity)
     steps = Intervals(np.arange(n), nodes.t[:-1], nodes.t[1:])
     return _Model(Motion((), TimeFunction((), process.dim)), steps, [], np.zeros(n))
-
-
-def _on_chords(process: SweepingProcess, nodes: Nodes, speed: Array, parts: int) -> _Model:
-    """That of a C(t) made of sets that move separately."""
-    intervals = smooth_intervals(histories_of(process.C), nodes.t, parts)
-    times = np.append(intervals.begin, nodes.t[-1])
-    slopes = np.concatenate([nodes.velocity[:1], speed])
-    u, z = (
-        np.column_stack([np.interp(times, nodes.t, x) for x in of.T]) for of in (nodes.u, slopes)
-    )
-    forces = applied(process.A, z)
-    if process.B is not None:
-        forces += applied(process.B, u)
-    far = _reach(forces, speed)
-    members = chords(process.C, times, forces - far * z, far)
-    return _on_steps(process, nodes)._replace(
-        intervals=intervals, distance=np.zeros(len(times) - 1), chords=members
-    )
 
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
@@ -385,13 +359,11 @@ def _on_intervals(
     aim = force - norms.coercivity * velocity
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
     moved = error = error_B = turning = np.zeros(len(a))
-    if model.chords:
-        w, gaps = model.chords.along(part.place, GAUSS, directions)
-    elif not model.summands:
+    speed = np.linalg.norm(directions, axis=2).mean(axis=1)
+    if not model.summands:
         w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif part.offsets is None:
-        w, moved = np.zeros_like(force), part.distance
-        gaps = 2 * np.linalg.norm(directions, axis=2).mean(axis=1) * moved
+        w, gaps, moved = np.zeros_like(force), 2 * speed * part.distance, part.distance
         known: list[Any] = [None] * len(part.scales)
         if model.members:
             known = _known_curves(model.members, part, begin + share * THIRDS, force, slopes)
@@ -421,8 +393,10 @@ def _on_intervals(
     of_r = norms.B.dual_products(r[stiff], np.sqrt(2 * length * gaps)[stiff])
     varies[stiff] = of_r.of_sum(SLOPES)
     # |r - its mean|^2 <= int |r'|^2 / 3
-    size[stiff] = of_r.of_sum(MEAN) + varies[stiff] / math.sqrt(3) + error_B[stiff]
-    varies[stiff] += np.where(moved > 0, np.inf, turning)[stiff]
+    size[stiff] = of_r.of_sum(MEAN) + varies[stiff] / math.sqrt(3)
+    size += error_B
+    varies[stiff] += turning[stiff]
+    varies[moved > 0] = np.inf
     first, last = math.sqrt(3) * r[:, 0], math.sqrt(3) * r[:, 1]
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 

@@ -16,7 +16,6 @@ from sweepopt.sets.base import (
     placed,
     same_array,
 )
-from sweepopt.sets.chords import Chords, ball_inside
 from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.curves import basis, products, to_bernstein
 from sweepopt.sets.facets import facets

@@ -69,7 +69,6 @@ class MovingSet(Operators):
     """
 
     operands: tuple[MovingSet, ...] = ()  # what an operation made it of
-    of_members: Callable[..., ConvexSet] | None = None  # that, of a function of these instead
     summands: Summands | None = None  # where that is linear, and they move by data
     histories: tuple[Any, ...] = ()
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from functools import partial, reduce, wraps
-from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -74,10 +73,8 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
         made: Any = _with_rows(operation, operands, linear)
         if made is None:
             fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
-            of_members = partial(_of_members, on_all, fixed)
-            points = of_members(lambda C: Ball(np.zeros(C.dim), 0.0))
-            made = MovingSet(partial(_operation_at, of_members), points.dim)
-            made.of_members = of_members
+            points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
+            made = MovingSet(partial(_operation_at, on_all, fixed), operation(*points).dim)
         made.summands = summands
         made.operands = tuple(C for C in operands if isinstance(C, MovingSet))
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
@@ -85,16 +82,10 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
     return on_all
 
 
-def _of_members(
-    operation: Callable[..., Any], operands: list[Any], member: Callable[[MovingSet], Any]
-) -> ConvexSet:
-    """What an operation makes of its operands, with members of those that move."""
-    made: ConvexSet = operation(*(member(x) if isinstance(x, MovingSet) else x for x in operands))
+def _operation_at(operation: Callable[..., Any], operands: list[Any], t: float) -> ConvexSet:
+    """What an operation makes of its operands at a time."""
+    made: ConvexSet = operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
     return made
-
-
-def _operation_at(of_members: Callable[..., ConvexSet], t: float) -> ConvexSet:
-    return of_members(methodcaller("at", t))
 
 
 def _summands(operation: Callable[..., Any], operands: Sequence[Any]) -> Summands | None:

@@ -301,7 +301,7 @@ class Splitting:
         They have no bound where the parts meet in no interior point.
         """
         pull = self.E.T @ (near.v - near.w)
-        held = self.F.T @ shortest(self.F.T, pull - (near.image - near.s))
+        held = self.F.T @ _shortest(self.F.T, pull - (near.image - near.s))
         return bool(np.linalg.norm(held) > times * np.linalg.norm(pull))
 
     def perturbation(self, near: Projection, p: Array) -> Perturbation | None:
@@ -317,7 +317,7 @@ class Splitting:
         s, E, F, scale = near.s, self.E, self.F, self.rounding_scale(near.image)
         some = float(p.any())  # 0 is normal everywhere
         n, turns = some * (near.image - s), some * (np.eye(s.size) - D)
-        multipliers = shortest(F.T, E.T @ p - n)
+        multipliers = _shortest(F.T, E.T @ p - n)
         sizes = np.abs(s) + scale
         forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + some * scale
         off = [E.T @ p - F.T @ multipliers - n, -F @ s, near.w - E @ s]
@@ -334,7 +334,7 @@ class Splitting:
         # a flat and a round part that overlap by d have rows of size sqrt(d), small but no rounding
         sizes = np.linalg.norm(system, axis=1, keepdims=True)
         sizes[sizes <= RANK * sizes.max()] = 1.0
-        back = LIGHT * shortest(system / sizes, right / sizes)[-2 * k :]
+        back = LIGHT * _shortest(system / sizes, right / sizes)[-2 * k :]
         # what is known adds up, what is rounding adds up as the root of squares
         shifts = np.abs(back[:, 0]) + np.linalg.norm(back[:, 1:], axis=1)
         return Perturbation(shifts[:k], shifts[k:])
@@ -345,7 +345,7 @@ class Splitting:
         if D is None:
             return None
         one, pull = np.eye(len(D)), self._K @ self.E.T
-        dx = shortest(self._jacobian(D), (2 * D - one) @ pull)
+        dx = _shortest(self._jacobian(D), (2 * D - one) @ pull)
         return np.asarray(self.E @ (self._K @ dx + pull))
 
 
@@ -370,7 +370,7 @@ def _inverse(rows: bytes, m: int, n: int) -> Array:
     return np.asarray(Z @ np.linalg.solve(np.eye(Z.shape[1]) + image.T @ image, Z.T))
 
 
-def shortest(M: Array, right: Array) -> Array:
+def _shortest(M: Array, right: Array) -> Array:
     """The shortest least-squares solution."""
     return np.asarray(
         scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy", check_finite=False)[0]
