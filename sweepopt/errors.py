@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def shown(value: object) -> str:
     """What a user passed, as a message can show it."""
-    if isinstance(value, type):
+    if isinstance(value, type) and value.__module__.startswith("sweepopt."):
         return f"the class {value.__name__} itself; call it: {value.__name__}(...)"
     try:
         text = re.sub(" at 0x[0-9a-f]+", "", " ".join(repr(value).split()))

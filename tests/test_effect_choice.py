@@ -118,6 +118,8 @@ def test_list_and_effects_show_what_a_scene_has(capsys):
     assert all(
         word in shown for word in ("without friction", "9 intervals", "nonzeros_B", "seconds")
     )
+    words = shown.split()
+    assert max(len(word) for word in words if "." in word) == len("1.0e-03")
 
 
 def test_the_table_of_effects_counts_what_is_there():

@@ -584,7 +584,7 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
             solution = scene.solve(t_end=None, steps=h * taken)
     plan, process = solution.plan, solution.process
     stats = solution.stats[np.isin(solution.t[1:], h * ends)]
-    A, B = (0 if M is None else M.count_nonzero() for M in (process.A, process.B))
+    A, B = (0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B))
     return {
         "unknowns": plan.unknowns,
         "nonsmooth_unknowns": plan.nonsmooth_unknowns,
@@ -593,8 +593,8 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
         "nonzeros_B": B,
         "path": plan.path,
         "solvers": ", ".join(sorted(set(stats["solver"].tolist()) - {"linear"})),
-        "seconds": np.median(stats["seconds"]),
-        "certificate": stats["relative"].max(),
+        "seconds": float(np.median(stats["seconds"])),
+        "certificate": float(stats["relative"].max()),
     }
 
 
