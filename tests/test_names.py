@@ -77,6 +77,7 @@ def test_scenes_are_listed_and_read_by_name():
     assert so.list_scenes()["tube"].startswith("Tube")
     scene = so.scene("pipe", changes={"time.steps": 3})
     assert scene.steps == 3
+    assert {*signature(so.scene).parameters} == {*signature(so.fem.read_scene).parameters}
     with pytest.raises(so.InputError, match="tube"):
         so.scene("tub")
 

@@ -95,10 +95,7 @@ class _Iteration:
             if w is not None:
                 return Answer(self._z, status="iterated", w=w, normal=True)
         # a start that is exact but for rounding may end with the first residual
-        z, iterations, w = self._iterate(q, C, self._z, stalled=int(near))
-        self._z = np.zeros_like(z) if self._cycled else z
-        known = w is not None
-        return Answer(z, iterations=iterations, status="iterated", w=w, normal=known)
+        return self._iterate(q, C, stalled=int(near))
 
     def _nearest(self, q: Array, C: ConvexSet) -> tuple[Array, Array | None]:
         """About z, for a C whose own projection iterates: from one in the metric of M^-1.
@@ -114,17 +111,16 @@ class _Iteration:
             C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
         return z, member
 
-    def _iterate(
-        self, q: Array, C: ConvexSet, z: Array, stalled: int
-    ) -> tuple[Array, int, Array | None]:
-        """Newton steps from z, until it is exact to rounding: the last z, and their number.
+    def _iterate(self, q: Array, C: ConvexSet, stalled: int) -> Answer:
+        """Newton steps until z is exact to rounding.
 
-        If nothing is to be proved, until rounding is negligible, and the point of C to which that
+        If nothing is to be proved, until the residual is negligible, with the point of C to which
         -z is normal.
         """
+        z = self._z
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest, self._cycled = math.inf, False
+        smallest = math.inf
         for iteration in range(self._max_iter):
             w, size_z = self._M.apply(z, q, NEGLIGIBLE)
             v = w - T * z
@@ -135,9 +131,13 @@ class _Iteration:
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if not self._proved and size <= NEGLIGIBLE * forces:
-                return (nearest - v) / T, iteration, nearest
+                self._z = (nearest - v) / T
+                return Answer(
+                    self._z, status="iterated", iterations=iteration, w=nearest, normal=True
+                )
             if size <= rounding or (size <= 1e3 * rounding and stalled):
-                return z, iteration, None
+                self._z = z
+                return Answer(z, status="iterated", iterations=iteration)
             if not self._key or (iteration and size >= SAME_TANGENT * smallest):
                 D = C.blocks(v)
                 if D is None or not self._turn(D, T):
@@ -148,8 +148,8 @@ class _Iteration:
             if not math.isfinite(following @ following):
                 break
             smallest, z = min(smallest, size), following
-        self._cycled = bool(size > smallest)
-        return z, iteration, None
+        self._z = np.zeros_like(z) if size > smallest else z
+        return Answer(z, status="iterated", iterations=iteration)
 
     def _turn(self, D: list[Blocks], T: Array) -> bool:
         """Whether there is a tangent for the derivative D."""
