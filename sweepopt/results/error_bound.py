@@ -25,12 +25,13 @@ K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2)), nu = (Lam - lam)^2 / (8 (Lam +
 lam <= Lam the extreme eigenvalues of A^-1 B.
 
 v is a curve through the nodes of a second run: on each step a line or one of two cubics, whichever
-gives the smallest bound. The second run has an L-stable scheme: sdirk2, or implicit Euler where all
-of the body is stiff (step * lam > 10, or A = 0): errors fade within a step there, the switches
-between stick and slip decide the order of both schemes, and implicit Euler has half of the
-programs. Its grid is refined where most of the bound of |u - v| arises, which is around the
-switches, and the run is repeated, until that bound is at most COMPANION_SHARE of |v - u_n| or no
-finer grid pays (`_more`).
+gives the smallest bound. The second run has the trapezoidal rule, or implicit Euler where all of
+the body is stiff (step * lam > 10, or A = 0): errors fade within a step there. Both have one
+program a step, as the first stage of the trapezoidal rule is the last one of the step before; how
+close the bound is depends on the length of the steps in which bodies stick or slip, so that sdirk2
+with two programs was up to 3 times as loose for the same work. The grid is refined where most of
+the bound of |u - v| arises, which is around the switches, and the run is repeated, until that bound
+is at most COMPANION_SHARE of |v - u_n| or no finer grid pays (`_more`).
 w(t) = center(t) + scale(t) s(t), where s is a curve in S through projections of
 A v' + B v - beta v', less the center, or, where projections iterate, through those points of S
 with which the programs of the second run ended. beta is that of |x|_A^2 >= beta |x|^2, as
@@ -68,7 +69,7 @@ from sweepopt.loads import breakpoints
 from sweepopt.problem import ONE, Norms, SweepingProcess, motion
 from sweepopt.results.interpolation import CURVES, Nodes, cubic, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
-from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan, Velocity
 
 SUM_ROUNDING = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
 TOL = 1e-8  # of the second run's programs: 1e-9 takes 3 times as long where diag(A) is uneven
@@ -78,22 +79,14 @@ COMPANION_SHARE = 1 / 3
 The bound of the error, |u - v| + |v - u_n|, is then at most (1 + 1/3) / (1 - 1/3) = 2 times the
 error."""
 STIFF = 10
-"""If step * lam is larger, the second run takes implicit Euler, else sdirk2. On equal grids bounds
-with implicit Euler were 1.1 times those with sdirk2 at step * lam = 10, 1.4 times at 2, up to 4
-times at 0.5 and 9 times at 0.002."""
-WORK = {"implicit-euler": (12, 10, 7, 4.4), "sdirk2": (7, 5, 3.6, 2.4)}
-"""Steps that all second runs together may take, by their scheme, for each program of the run: for
-up to SMALL unknowns and polyhedra with exact projections; balls; other bodies; and those of more
-than LARGE unknowns. Those of balls are 10 programs, each of which takes 0.5 to 0.9 of the time of
-one of the run; with 12 and 14 bounds took up to 11 times as long as the run, and were 0.95 times as
-large (19 runs; median, at least 0.87); with 7 programs 1.3 times. For more than SMALL unknowns
-steps at rest do not count, as one takes a fiftieth of the time of another: on boxes in 200 to 4,000
-unknowns, with 8 of 20 steps at rest, bounds took 15 to 33 times as long as the run when they
-counted, 9 to 11 times when not, and were then 1.01 to 1.1 times as loose. Bounds of balls that are
-cut, added or mapped take 2 to 9 times as long as the run."""
+"""If step * lam is larger, the second run takes implicit Euler, else the trapezoidal rule."""
+WORK = (9, 5)
+"""Steps, of one program each, that all second runs together may have for each program of the run:
+for up to SMALL unknowns with exact projections, and for others. One takes 0.5 to 0.9 of the time of
+a program of the run. With 8 (10) in the first place bounds were at most 1.5 (1.2) times as loose
+(close) as with 9. For more than SMALL unknowns steps at rest do not count, as one takes a fiftieth
+of the time of another; for fewer they do: without them bounds were up to 1.5 times as loose."""
 SMALL, LARGE = 50, 1000
-"""Unknowns. With the work of small bodies bounds took 13 times as long as the run for 120 unknowns,
-11 for 72, 10 for 7 (the work of others: 9, 8); with that of others 47 times for 1,056."""
 MOST_REFINEMENT = 5
 """A grid has at most so many times as many steps more than the one before: where the second run has
 the scheme of the run, |v - u_n| on the first grid tells nothing of the error, and all of WORK would
@@ -155,17 +148,18 @@ def error_bound(
 ) -> ErrorBound:
     """The bound of a run, with v through the nodes of runs on grids that are refined for it.
 
-    The first grid is that of the run with the breakpoints of the data added. Each pass bounds
-    |u - v|, with the best curve on each step, and so the error; on each step the smallest bound of
-    all passes counts. The next pass has as many more steps as its goal needs, or as WORK has left,
-    where most of the bound of |u - v| arises. Where C(t) is no data there is one pass.
+    The first grid is that of the run with the breakpoints of the data added, and for the
+    trapezoidal rule with the middles of its steps: where C(t) is no data there is no other pass.
+    Each pass bounds |u - v|, with the best curve on each step, and so the error; on each step the
+    smallest bound of all passes counts. The next pass has as many more steps as its goal needs, or as WORK has left,
+    where most of the bound of |u - v| arises.
     """
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > STIFF
-    scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
+    scheme = SCHEMES["implicit-euler" if stiff else "trapezoid"]
     best = "straight" if stiff else "velocities"
     kind, one_curve, by_points = _methods(process, plan)
-    work = math.ceil(WORK[scheme.name][kind] * _moving(run) * len(plan.scheme.b))
+    work = math.ceil(WORK[kind] * _moving(run) * len(plan.scheme.b))
     tol = min(plan.tol, TOL)
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
@@ -174,6 +168,7 @@ def error_bound(
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
+    t = t if stiff else divided(t, np.full(len(t) - 1, 2))
     ends = norms.A(run.u)
     largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
@@ -240,8 +235,7 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
     by_points = len(sets) == 1 and is_data and not exact and plan.reduction is None
     cheap = exact and sharp and not plan.cones and process.dim <= SMALL
     one_curve = (large and plan.contact is not None) or plan.cones or not sharp
-    kind = int(not all(S.polyhedral for S in sets)) if cheap else 2
-    return 3 if large else kind, one_curve, by_points
+    return int(not cheap), one_curve, by_points
 
 
 def _largest_state(norms: Norms, a: float, b: float) -> float:
@@ -390,26 +384,29 @@ def companion(
 
     And points of C(t) at all but the first, where the programs know them.
 
-    Its last stage is the inclusion at the node itself, so that no difference of forces is divided
-    by A; its weights are positive, so that means of velocities stay in cones. A program that
-    misses its tolerance is in the residual.
+    A step has one program, that of its last stage, which is the inclusion at the node itself, so
+    that no difference of forces is divided by A; an explicit stage before it is that of the step
+    before. The first step, and one after a stage without a program, is one of implicit Euler, in
+    which errors of the start fade. Weights are positive, so that means of velocities stay in cones.
+    A program that misses its tolerance is in the residual.
     """
     times, mus = time_grid(None, t)
-    few, scheme = plan.process_of(process), plan.scheme
+    few, start = plan.process_of(process), SCHEMES["implicit-euler"]
     u, means, slopes, members = [few.u0], [], [], []
-    compensation, count = np.zeros(few.dim), len(scheme.c)
-    at = times[:-1, None] + mus[:, None] * np.array(scheme.c)
-    at[:, -1] = times[1:]  # C may jump at a node, from which rounding takes t + mu
-    sets = few.C.at_many(at.ravel())
-    for i, (time, mu) in enumerate(zip(times[:-1].tolist(), mus.tolist(), strict=True)):
-        of_step = sets[i * count : (i + 1) * count]
-        stages = velocities.stages(scheme, time, mu, u[-1], sets=of_step)
+    stages: list[Velocity] = []
+    compensation = np.zeros(few.dim)
+    sets = few.C.at_many(times[1:])  # C may jump at a node, from which rounding takes t + mu
+    for time, mu, C in zip(times[:-1].tolist(), mus.tolist(), sets, strict=True):
+        scheme = plan.scheme if stages else start
+        first = stages[-1:] if len(scheme.b) > 1 else []
+        stages = velocities.stages(scheme, time, mu, u[-1], first, (*([None] * len(first)), C))
         if len(stages) == len(scheme.b):
             mean, slope = combination(scheme.b, stages), stages[-1].z
             if with_points:
                 members.append(stages[-1].w)
         else:  # a stage has no program
             mean = slope = velocities.step(time, mu, u[-1]).velocity.z
+            stages = []
         following, compensation = compensated_sum(u[-1], mu * mean, compensation)
         u.append(following)
         means.append(mean)
