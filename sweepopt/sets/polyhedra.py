@@ -192,11 +192,10 @@ class Polyhedron(ConvexSet):
             if of_first is not None:
                 active = np.flatnonzero(of_first)
                 normals, inverse = (G := dense(self.rows[active])), np.linalg.pinv(G)
-                y, meet = z @ inverse, s[:, active] @ inverse.T @ self.rows.T
+                y, meet = np.maximum(z @ inverse, 0.0), s[:, active] @ inverse.T @ self.rows.T
                 rounding = 10 * ROUNDING * (np.abs(z) + np.abs(y) @ np.abs(normals))
                 serves |= (
                     ((s == s[0]) | (meet <= s + ROUNDING * (s + np.abs(meet)))).all(axis=1)
-                    & (y >= 0).all(axis=1)
                     & (np.abs(y @ normals - z) <= rounding).all(axis=1)
                 )
                 y[0] = of_first[active]
