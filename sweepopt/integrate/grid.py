@@ -85,8 +85,10 @@ def breakpoints_to_meet(histories: Iterable[Any], a: float, b: float) -> Array:
     return np.unique(np.concatenate([np.empty(0), *points]))
 
 
-def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: Array) -> Plan:
-    """The plan for these times with the breakpoints of the load in steps, unless they are too many.
+def meeting_breakpoints(
+    process: SweepingProcess, plan: Plan, times: Array, histories: Iterable[Any]
+) -> Plan:
+    """The plan for these times with the histories' breakpoints in steps, if they are not too many.
 
     One at a node up to rounding is in no step. C(t) is checked at the others, too.
 
@@ -94,7 +96,7 @@ def meeting_breakpoints(process: SweepingProcess, plan: Plan, times: Array) -> P
     unknowns on a new matrix takes as long as 13 steps (992 of them) to 30 (10,100): of those one in
     ten steps is the most, as with 0.2 a finer grid of as long a run had the smaller error.
     """
-    points = breakpoints_to_meet(histories_of(process.C), times[0], times[-1])
+    points = breakpoints_to_meet(histories, times[0], times[-1])
     slack = TIME_SLACK * np.abs(times).max()
     points = points[np.diff(points, prepend=-np.inf) > slack]
     after = np.clip(np.searchsorted(times, points), 1, len(times) - 1)

@@ -26,7 +26,7 @@ from sweepopt.integrate.grid import (
 )
 from sweepopt.integrate.schemes import AUTOMATIC, Scheme, choose
 from sweepopt.io import decoded, encoded
-from sweepopt.loads import Table
+from sweepopt.loads import Slope, Table
 from sweepopt.problem import SweepingProcess, histories_of
 from sweepopt.velocity import PATHS, REGISTRY, Plan, make_plan
 
@@ -152,7 +152,10 @@ class SolveOptions:
         if reduction and not (scheme.exact or reduction.suits(gamma, span, self.tol)):
             reason = "proportional path: steps differ so much that short ones would be rounding"
             plan = replace(plan, reduction=None, left_out=(*plan.left_out, reason))
-        return meeting_breakpoints(process, plan, times) if self.scheme == "auto" else plan
+        histories = [] if scheme.exact else histories_of(process.C)
+        if self.scheme != "auto":
+            histories = [one for one in histories if isinstance(one, Slope)]
+        return meeting_breakpoints(process, plan, times, histories)
 
     def to_json(self) -> dict[str, Any]:
         """The options in terms of JSON.
