@@ -41,6 +41,7 @@ from sweepopt.integrate import (
     StepInfo,
     StoredRun,
     adapt,
+    check_resolution,
     check_stability,
     checkpoint_writer,
     first_grid,
@@ -156,8 +157,9 @@ def solve(
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when step * Lam > 2. Unless it is "ignore", and but for Adaptive,
-        schemes by name warn: catching-up between 1 and 2; midpoint and trapezoid where they ring
+        What catching-up does when step * Lam > 2. Unless it is "ignore", and but for Adaptive and
+        `error`, a run warns of steps of half a period of a Sine or Triangle and more, and schemes
+        by name: catching-up between 1 and 2; midpoint and trapezoid where they ring
         (step * Lam > 10/3 or A = 0, while C(t) moves); where B u0 is outside of C(0), midpoint and
         trapezoid from 2 on and sdirk2 from 1 + sqrt 2 on, which can overshoot the equilibrium.
 
@@ -308,13 +310,16 @@ def _refine(
     times, _ = time_grid(options.t_end, options.steps)
     error = number("error", error, minimum=0.0, strict=True)
     saving(options.save, times, process.dim, options.memory)
-    if options.tableau(process).exact:
+    scheme = options.tableau(process)
+    if scheme.exact:
         raise InputError(
             "error=: scheme 'exact' has no error in time; leave error out (Solution.exact is u at "
             "any time, between the nodes too)"
         )
     run, tol, cause = _warning_once(_run), error, ""
-    asked = replace(options, t_end=None)
+    # the bound has what an implicit scheme does in long steps; an explicit one may blow up
+    unstable = options.on_unstable if scheme.explicit else "ignore"
+    asked = replace(options, t_end=None, on_unstable=unstable)
     runs, times = _all_states(run, process, asked, progress), with_breakpoints(process, times)
     sol = runs(times, options.tol)
     sol = replace(sol, passes=(Pass(len(sol.stats), math.nan, float(sol.stats["seconds"].sum())),))
@@ -475,6 +480,8 @@ def planned(process: SweepingProcess, options: SolveOptions) -> Grid:
     outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
     process.check_jumps(float(times[0]), float(times[-1]))
     check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
+    if options.on_unstable != "ignore":
+        check_resolution(process, plan, times)
     return Grid(times, mus, plan, saved)
 
 

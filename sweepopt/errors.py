@@ -251,7 +251,7 @@ class VariationWarning(SweepoptWarning):
 
 
 class StabilityWarning(SweepoptWarning):
-    """The step size lets a scheme ring, or overshoot into a wrong stuck state."""
+    """Steps are so long that a scheme rings, overshoots to a wrong stuck state or misses waves."""
 
 
 class BoundWarning(SweepoptWarning):

@@ -214,10 +214,10 @@ def test_ctrl_c_writes_what_was_computed(monkeypatch, capsys):
 
 
 def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(monkeypatch, capsys):
-    assert run("--steps", "3") == 0
+    assert run("--steps", "4") == 0
     before = {path: path.read_bytes() for path in OUT.glob("*.*")}
     monkeypatch.setattr(h5netcdf.File, "create_variable", Mock(side_effect=KeyboardInterrupt))
-    assert run("--steps", "3") == 130
+    assert run("--steps", "4") == 130
     assert "interrupted" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in OUT.glob("*.*")} == before
 
@@ -233,10 +233,10 @@ def test_on_a_full_disk_the_results_go_to_a_temporary_folder(monkeypatch, capsys
         force(handle)
 
     monkeypatch.setattr(os, "fsync", full)
-    assert run("--steps", "3") == 1
+    assert run("--steps", "4") == 1
     assert "out: the results cannot be written there (No space" in capsys.readouterr().err
     (folder,) = other.iterdir()
-    assert solution_in(folder).sizes["step"] == 3
+    assert solution_in(folder).sizes["step"] == 4
 
 
 @pytest.mark.filterwarnings("always::sweepopt.VariationWarning")
@@ -371,7 +371,7 @@ kind = "plane stress"
 clamped = []
 [time]
 end = 1.0
-steps = 2
+steps = 3
 [effects.dashpot]
 on = "body"
 eta = 1.0
@@ -413,8 +413,8 @@ def test_files_and_costs_of_effects_need_neither_pandas_nor_xarray():
     code = (
         "import sys; sys.modules.update(pandas=None, xarray=None)\n"
         "import sweepopt as so; from sweepopt.cli import main\n"
-        "main(['effects', 'ring.toml', '--steps', '1'])\n"
-        "sol = so.scene('ring.toml').solve(steps=2)\n"
+        "main(['effects', 'ring.toml', '--steps', '4'])\n"
+        "sol = so.scene('ring.toml').solve(steps=4)\n"
         "sol.save('run.nc'); print((so.Solution.load('run.nc').u == sol.u).all())\n"
         "try: sol.to_xarray()\n"
         "except so.MissingExtraError as error: print(error)"

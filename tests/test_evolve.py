@@ -93,6 +93,33 @@ def test_catching_up_refuses_a_step_that_amplifies_and_warns_of_one_that_oversho
     so.solve(process, t_end=6.0, steps=10, scheme="implicit-euler")
 
 
+@pytest.mark.parametrize("scheme", ["auto", "implicit-euler", "catching-up"])
+@pytest.mark.parametrize("wave", [so.Sine(3.0, 0.1), so.Triangle(3.0, 0.1)])
+def test_steps_that_see_no_wave_of_the_load_are_warned_of_once_with_the_steps_to_take(wave, scheme):
+    process = block(wave, 0.5)
+    how = {"t_end": 2.0, "scheme": scheme}
+    said = r"period of 0\.1, but steps are up to 0\.1 long: .*Take steps=120 at least, .*Adaptive"
+    with pytest.warns(so.StabilityWarning, match=said) as caught:
+        sol = so.solve(process, steps=20, **how)
+    assert scheme == "auto" or abs(sol.u).max() < 1e-9  # whose stages are within the steps
+    assert len(caught) == 1
+    with pytest.warns(so.StabilityWarning, match="steps are up to 0.05 long"):
+        so.solve(process, steps=40, **how)
+    enough = so.solve(process, steps=120, **how)  # no warning: they are errors here
+    assert abs(enough.u).max() > 0.02
+    so.solve(process, t_end=2.0, steps=20, error=1.0, scheme="implicit-euler")
+    so.solve(block(type(wave)(0.0, 0.1), 0.5), steps=20, **how)
+
+
+def test_long_steps_are_no_fault_where_breakpoints_of_a_triangle_divide_them():
+    times = np.append(np.linspace(0.0, 2.0, 41), 2.2)
+    process = block(so.Triangle(3.0, 0.3), 0.5)
+    assert so.solve(process, steps=times).plan.breakpoints.size
+    with pytest.warns(so.StabilityWarning, match="steps are up to 0.2 long"):
+        so.solve(process, steps=times, scheme="sdirk32")
+    assert so.solve(process, steps=times, scheme="exact").success
+
+
 def test_auto_is_sdirk32_for_steps_of_any_length_and_the_plan_says_why():
     def scheme(process, steps, **how):
         plan = str(so.solve(process, t_end=3.0, steps=steps, **how).plan)
@@ -101,7 +128,7 @@ def test_auto_is_sdirk32_for_steps_of_any_length_and_the_plan_says_why():
 
     why = "sdirk32 (order 2): second order and L-stable, for any step * Lam"
     for process in (slider(), block(so.Sine(1.0, 1.0)), case("M16").process):
-        assert scheme(process, 5) == scheme(process, 100) == why
+        assert scheme(process, 7) == scheme(process, 100) == why
     assert scheme(slider(), 5, scheme="sdirk2") == "sdirk2 (order 2)"
     assert scheme(slider(), so.Adaptive(1e-2)) == "sdirk2 (order 2)"
 

@@ -367,7 +367,7 @@ def test_a_name_that_other_libraries_have_says_what_stands_here_for_it():
     with pytest.raises(AttributeError, match=r"EvolutionVI has no attribute solve; .* so\.solve\("):
         process.solve(t_end=1.0)
     assert not hasattr(process, "steps")
-    sol = so.solve(process, t_end=1.0, steps=2)
+    sol = so.solve(process, t_end=1.0, steps=3)
     with pytest.raises(AttributeError, match="Solution has no attribute y; the states are u"):
         sol.y  # noqa: B018
 

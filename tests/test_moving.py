@@ -72,7 +72,7 @@ def test_sums_multiples_images_and_products_of_translates_by_data_are_such(famil
     process = so.SweepingProcess(
         np.eye(C.dim), np.eye(C.dim), C, C.at(0.0).project(np.zeros(C.dim))
     )
-    assert so.solve(process, t_end=1.0, steps=2).error_bound().guaranteed
+    assert so.solve(process, t_end=1.0, steps=3).error_bound().guaranteed
 
 
 def test_operations_of_two_moving_sets_commute_with_time():

@@ -94,6 +94,7 @@ def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(run):
     assert figure.axes[-1].yaxis.get_major_formatter()(2e-6) == "2 µm"
 
 
+@pytest.mark.filterwarnings("ignore:the load has a period:sweepopt.StabilityWarning")  # one step
 @pytest.mark.parametrize("picture", ["displacement", "contact"])
 def test_the_shortest_run_has_pictures(picture):
     draw(report_of(replace(half_ring(), steps=1)), picture).draw_without_rendering()

@@ -232,7 +232,7 @@ JUMPS = [
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_finite_jumps_of_data_are_named_once_with_their_times_and_sizes(C, message):
     process = so.SweepingProcess(4.0, 1.0, C, 0.0)
-    for steps in (7, so.Adaptive(1e-2)):
+    for steps in (41, so.Adaptive(1e-2)):
         with pytest.warns(so.VariationWarning, match=message) as caught:
             assert so.solve(process, t_end=2.0, steps=steps).success
         assert sum(w.category is so.VariationWarning for w in caught) == 1

@@ -115,7 +115,7 @@ def test_sdirk32_agrees_where_nothing_stops():
 )  # fmt: skip
 def test_every_kind_of_proportional_process_is_found_and_agrees(changes):
     this = process(**changes)
-    assert so.solve(this, t_end=3.0, steps=4).plan.path == "proportional"
+    assert so.solve(this, t_end=3.0, steps=30).plan.path == "proportional"
     few, general = runs(this, t_end=3.0, steps=30)
     assert difference(this, few.u, general.u) <= 1e-10
 
@@ -181,6 +181,8 @@ def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast)
         assert apart <= min(stated + 1e-14 * size, 1e-9)
 
 
+# the motion has come to rest after steps of many periods
+@pytest.mark.filterwarnings("ignore:the load has a period:sweepopt.StabilityWarning")
 def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding():
     # the load's response is at rest but for 1e-11 of it, and then looked at closely
     grid = np.append(0.0, np.cumsum([400.0, 3000.0, 5e-6, 0.2, 1e-5, 6e-7]))

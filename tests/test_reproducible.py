@@ -58,8 +58,8 @@ ROUTES = {
     "closed form": (lambda: body(A=np.diag(A.diagonal()), B=None), {}),
     "linear": (lambda: body(C=so.Point(np.zeros(N))), {}),
     "daqp": (body, {"solver": "daqp"}),
-    "cvxpy": (body, {"solver": "cvxpy", "steps": 2}),
-    "cvxpy:osqp": (body, {"solver": so.Cvxpy("OSQP"), "steps": 2}),
+    "cvxpy": (body, {"solver": "cvxpy", "steps": 3}),
+    "cvxpy:osqp": (body, {"solver": so.Cvxpy("OSQP"), "steps": 3}),
     "adaptive": (body, {"steps": so.Adaptive(1e-2)}),
     "exact": (lambda: three(so.Box(-GAP[:3], GAP[:3])), {"scheme": "exact"}),
     # an intersection, whose support function is a program of its own

@@ -285,6 +285,8 @@ def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(save, tmp_pat
     assert done >= {5, 6}
 
 
+# times of all sizes have steps of many periods
+@pytest.mark.filterwarnings("ignore:the load has a period:sweepopt.StabilityWarning")
 def test_times_are_matched_with_the_nearest_node_and_then_found_again():
     this = process(u0=np.zeros(40))
     grid = np.linspace(0.0, 1.0, 8)
@@ -459,8 +461,8 @@ def test_a_copy_of_a_solution_can_do_what_the_solution_can(settings):
 
 def test_a_scene_and_its_run_go_through_pickle():
     scene = so.scene("square")
-    same, sol = pickle.loads(pickle.dumps((scene, scene.solve(steps=4))))
-    np.testing.assert_array_equal(same.displacement(sol), scene.displacement(scene.solve(steps=4)))
+    same, sol = pickle.loads(pickle.dumps((scene, scene.solve(steps=6))))
+    np.testing.assert_array_equal(same.displacement(sol), scene.displacement(scene.solve(steps=6)))
 
 
 def test_a_file_that_another_program_wrote_again_is_not_loaded(tmp_path):

@@ -542,7 +542,7 @@ def compare_effects(
 
     Examples
     --------
-    >>> table = compare_effects("square", steps=2)
+    >>> table = compare_effects("square", steps=5)
     >>> table.path["all effects"], table.path["without friction"]
     ('proportional', 'linear')
     """

@@ -20,6 +20,7 @@ from sweepopt.integrate.field import (
     velocity_field,
 )
 from sweepopt.integrate.grid import (
+    check_resolution,
     check_stability,
     divided,
     time_grid,

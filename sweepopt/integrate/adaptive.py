@@ -25,17 +25,16 @@ import numpy as np
 
 from sweepopt.checks import TIME_SLACK, Array
 from sweepopt.errors import InputError, Status, SweepoptError
-from sweepopt.integrate.grid import breakpoints_to_meet, divided
+from sweepopt.integrate.grid import PER_PIECE, breakpoints_to_meet, divided, shortest_period
 from sweepopt.integrate.options import Adaptive
 from sweepopt.integrate.record import Pass, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.linalg import EPS
-from sweepopt.loads import History, Sine, Triangle
+from sweepopt.loads import History
 from sweepopt.problem import SweepingProcess, histories_of, squares
 
 STEPS = 1_000_000  # of the finest pass, or grid: hours, and 16 MB of states of one unknown
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # steps cut in this ratio fall into step with no period
-PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
 ADVICE = (
     "does the load jump there? Give it as data (a Table has no jumps, and its breakpoints are "
     "met exactly) or loosen the tolerance"
@@ -56,9 +55,7 @@ def first_grid(steps: Adaptive, process: SweepingProcess, times: Array, scheme: 
     begin, end = float(times[0]), float(times[-1])
     histories = histories_of(process.C)
     known = all(isinstance(history, History) for history in histories)
-    waves = [one for one in histories if isinstance(one, (Sine, Triangle)) and one.amplitude]
-    period = min((wave.period for wave in waves), default=math.inf)
-    stable = math.inf
+    period, stable = shortest_period(process), math.inf
     if scheme.explicit and process.B is not None and process.Lam > 0:
         stable = 1 / process.Lam
     # enough for a second pass to see where errors are; twice as many where nothing is known between

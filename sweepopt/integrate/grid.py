@@ -11,7 +11,7 @@ from sweepopt.checks import TIME_SLACK, Array, axes, count, increasing, number
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
 from sweepopt.linalg import EPS
-from sweepopt.loads import Constant, History, breakpoints
+from sweepopt.loads import Constant, History, Sine, Triangle, breakpoints
 from sweepopt.problem import SweepingProcess, histories_of, motion
 from sweepopt.velocity import Plan
 
@@ -21,6 +21,8 @@ LARGEST_CONTRACTION = 0.8
 """By no more than this: a fixed point has ten digits after 100 iterations then."""
 RINGING = 0.25
 """A larger share of an error that comes back lasts for steps: sdirk2's is 0.21 at most."""
+PER_PIECE = 3
+"""Steps between breakpoints and in half a period, at least: for second differences."""
 
 
 def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
@@ -123,6 +125,32 @@ def evaluation_times(times: Array, mus: Array, scheme: Scheme) -> Array:
     """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
     stages = times[:-1, None] + mus[:, None] * np.array(scheme.times)
     return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
+
+
+def shortest_period(process: SweepingProcess) -> float:
+    """That of the waves that C(t) moves with as data; infinite if there are none."""
+    waves = (one for one in histories_of(process.C) if isinstance(one, (Sine, Triangle)))
+    return min((wave.period for wave in waves if wave.amplitude), default=math.inf)
+
+
+def check_resolution(process: SweepingProcess, plan: Plan, times: Array) -> None:
+    """Whether steps are so long that all of them may see a wave of the load at the same phase.
+
+    A part of a step that ends at a breakpoint counts as a step.
+    """
+    period = shortest_period(process)
+    longest = float(np.diff(np.union1d(times, plan.breakpoints)).max())
+    # a Triangle has breakpoints half a period apart
+    slack = TIME_SLACK if plan.breakpoints.size else -TIME_SLACK
+    if plan.scheme.exact or longest < (1 + slack) * period / 2:
+        return
+    enough = math.ceil((times[-1] - times[0]) / period * 2 * PER_PIECE * (1 - TIME_SLACK))
+    warn(
+        f"the load has a period of {period:g}, but steps are up to {longest:g} long: with two in a "
+        f"period or fewer its waves can pass unseen. Take steps={enough} at least, which are "
+        f"{2 * PER_PIECE} in each period, or steps=so.Adaptive(tol)",
+        StabilityWarning,
+    )
 
 
 def check_stability(
