@@ -56,7 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Those of the command line by default.
     """
-    parser = _parser()
+    parser, commands = _parser()
+    word = next(iter(sys.argv[1:] if arguments is None else arguments), "-")
+    if word not in commands and not word.startswith("-"):
+        near = suggestion(word, commands)
+        parser.error(f"there is no command {word}, but {', '.join(commands)}{near}")
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         word, names = unknown[0], vars(options).keys() - {"command", "scene", "study"}
@@ -91,7 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return REFUSED
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
+    """The parser, and the names of the commands."""
     parser = argparse.ArgumentParser(
         prog="sweepopt", description="Quasistatic evolution with friction, with certificates."
     )
@@ -135,7 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
     compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
-    return parser
+    return parser, [*commands.choices]
 
 
 def _add_changes(parser: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import Array, meaning, number, takes
+from sweepopt.checks import Array, meaning, number, takes, with_checks
 from sweepopt.errors import (
     AccuracyError,
     InputError,
@@ -65,6 +65,7 @@ shorter steps do not help. Of 15 runs that begin in a layer of 1 / Lam, which no
 the one that took the smallest tolerance delivered its error at a share of 0.06."""
 
 
+@with_checks
 @meaning(
     u0="; the problem is stated first: so.solve(so.SweepingProcess(A, B, C, u0), t_end=1.0)",
     T="; give t_end",

@@ -154,7 +154,7 @@ def _panels(solution: Solution, figure: Any) -> Any:
         low, high = np.nan_to_num(np.transpose(bounds), neginf=bottom, posinf=top)
         look = {"fill": True, "alpha": 0.3, "label": "C(t)"}
         panels[2].stairs(high, ends, baseline=low, color=STICK, **look)
-    panels[2].legend(fontsize="small")
+    legend_above(panels[2], 2)
     for panel, name in zip(panels, ("u", "u'", "force"), strict=True):
         panel.set(xlabel="t", ylabel=name)
         panel.label_outer()
@@ -268,6 +268,10 @@ def draw_histories(
 def legend_above(panel: Any, columns: int) -> None:
     """A legend of the panel's lines above it, where it covers none of them."""
     panel.legend(fontsize="small", ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def __dir__() -> list[str]:
+    return ["animate_solution", "plot_solution"]
 
 
 class _Called(ModuleType):

@@ -307,8 +307,7 @@ def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
     (["run", "pipe", "--bounds"], "unrecognized argument --bounds; did you mean --bound?"),
     (
         ["rum", "pipe"],
-        "argument COMMAND: invalid choice: 'rum' (choose from 'list', 'run', 'effects', 'study', "
-        "'compare')",
+        "there is no command rum, but list, run, effects, study, compare; did you mean run?",
     ),
     (
         ["effects", "pipe", "--scheme", "exact"],

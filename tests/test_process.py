@@ -460,7 +460,7 @@ def test_a_solution_shows_a_bound_once_it_is_known_and_whether_it_is_guaranteed(
         (PLAIN, "sampled, not guaranteed: center(t) is"),
     ):
         sol = so.solve(process, t_end=1.0, steps=10)
-        assert "error bound" not in repr(sol)
+        assert "error bound         not asked for: sol.error_bound()" in repr(sol)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             bound = sol.error_bound()

@@ -112,6 +112,7 @@ class _File(NamedTuple):
 @meaning(
     steps='; give changes={"time.steps": steps}',
     t_end='; give changes={"time.end": t_end}',
+    set='; give changes={"effects.friction.g": 0.5}, for example',
 )
 def read_scene(
     source: str | Path | Mapping[str, Any],

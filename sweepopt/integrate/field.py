@@ -13,7 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import Array, count, instant, number, tolerance, vector, with_checks
+from sweepopt.checks import (
+    Array,
+    count,
+    instant,
+    meaning,
+    number,
+    tolerance,
+    vector,
+    with_checks,
+)
 from sweepopt.errors import InputError, VelocityError, shown
 from sweepopt.integrate.schemes import SCHEMES, Scheme, choose
 from sweepopt.integrate.step import Velocities, combination
@@ -164,6 +173,7 @@ def compatible_start(process: SweepingProcess | EvolutionVI, t: float = 0.0) -> 
 # ---- as a program of cvxpy ----------------------------------------------------------------------
 
 
+@meaning(dt="; give mu, the length of the step", h="; give mu, the length of the step")
 def step_program(
     process: SweepingProcess | EvolutionVI,
     t: float,

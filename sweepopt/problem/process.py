@@ -96,7 +96,7 @@ class VelocityBound(NamedTuple):
 @meaning(
     load="; C(t) = f(t) - D: give C, or take EvolutionVI, which has load and dissipation",
     dissipation="; take EvolutionVI, which has load and dissipation",
-    K="; C is the set that B u and A u' are in; EvolutionVI has cone=K",
+    K="; a stiffness is B; a cone of velocities is cone=K of EvolutionVI",
     x0="; the start is u0",
 )
 class SweepingProcess(Displayed):

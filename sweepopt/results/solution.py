@@ -207,8 +207,8 @@ class Solution(Displayed):
         yield "solver", ", ".join(names[i] for i in np.unique(stats["solver"]))
         worst = stats["relative"].max(initial=0.0)
         yield "worst certificate", "none" if np.isnan(worst) else f"{worst:.1e} (relative)"
-        if (bound := vars(self).get("_bound")) is not None:
-            yield "error bound", repr(bound)
+        bound = vars(self).get("_bound")
+        yield "error bound", "not asked for: sol.error_bound()" if bound is None else repr(bound)
 
     def _picture(self) -> str:
         some = evenly(len(self.t), 200)
