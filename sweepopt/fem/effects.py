@@ -929,7 +929,8 @@ def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
                 missing = next(name for name in names if name not in given)
                 beside = "".join(f" beside {name}" for name in given)
                 raise InputError(f"{missing}: is missing{beside}; give {words}")
-        raise InputError(f"{sorted(given)[0]}: give {words}, not {' and '.join(sorted(given))}")
+        both = " and ".join(sorted(given))
+        raise InputError(f"{sorted(given)[0]}: give by name {words}, not {both}")
 
 
 def _check_compressible(nu: Array) -> None:

@@ -69,7 +69,7 @@ TRIED = {
     "v": "the velocities are velocity, one row a step",
     "displacement": "the states are u; those of a body at its nodes are scene.displacement(sol)",
     "z": "the velocities are velocity, one row a step",
-    "error": "a bound of the error is error_bound()",
+    **dict.fromkeys(("error", "bound"), "a bound of the error is error_bound()"),
     "t_end": "it ends at t[-1]",
     **dict.fromkeys(("to_csv", "to_dataframe"), "to_xarray() is a dataset, u and t are arrays"),
     "stress": "stresses of a body are scene.stress(sol)",
