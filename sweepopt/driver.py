@@ -317,12 +317,11 @@ def _refine(
             "error=: scheme 'exact' has no error in time; leave error out (Solution.exact is u at "
             "any time, between the nodes too)"
         )
-    run, tol, cause = _warning_once(_run), error, ""
     # the bound has what an implicit scheme does in long steps; an explicit one may blow up
     unstable = options.on_unstable if scheme.explicit else "ignore"
-    asked = replace(options, t_end=None, on_unstable=unstable)
-    runs, times = _all_states(run, process, asked, progress), with_breakpoints(process, times)
-    sol = runs(times, options.tol)
+    run, finished = _passes(process, replace(options, on_unstable=unstable), callback, progress)
+    tol, cause, times = error, "", with_breakpoints(process, times)
+    sol = run(times, options.tol)
     sol = replace(sol, passes=(Pass(len(sol.stats), math.nan, float(sol.stats["seconds"].sum())),))
     while sol.success:
         try:
@@ -331,7 +330,7 @@ def _refine(
         except KeyboardInterrupt:
             return replace(sol, status=Status.INTERRUPTED)
         if bound <= error:
-            return _with_output(run, process, asked, sol, callback, progress)
+            return finished(sol)
         if not cause and (tol < LEAST_TOL * error or (sol.passes[1:] and bound == math.inf)):
             cause = "shorter steps do not help; ask for less"
         if cause:
@@ -342,7 +341,7 @@ def _refine(
             )
         if sol.passes[1:]:
             tol *= min(0.5, max(0.1, 0.8 * error / bound))
-        sol, cause = adapt(runs, process, Adaptive(tol), sol.t, sol, bound)
+        sol, cause = adapt(run, process, Adaptive(tol), sol.t, sol, bound)
     return sol
 
 
@@ -360,13 +359,14 @@ def _adapt(
     process: SweepingProcess, options: SolveOptions, callback: Callback | None, progress: bool
 ) -> Solution:
     """Runs on better and better grids, until the estimated error is at most the tolerance."""
-    scheme, run = options.tableau(process), _warning_once(_run)
+    scheme = options.tableau(process)
     times = first_grid(options.steps, process, options.times_to_meet(), scheme)
     saving(options.save, times, process.dim, options.memory)
     # errors are estimated, so no scheme is warned of
-    asked = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
-    sol, cause = adapt(_all_states(run, process, asked, progress), process, options.steps, times)
-    sol = _with_output(run, process, asked, sol, callback, progress)
+    asked = replace(options, scheme=scheme.name, on_unstable="ignore")
+    run, finished = _passes(process, asked, callback, progress)
+    sol, cause = adapt(run, process, options.steps, times)
+    sol = finished(sol)
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
@@ -376,42 +376,30 @@ def _adapt(
     return replace(sol, status=Status.INEXACT, cause=cause)
 
 
-def _all_states(
-    run: Callable[..., Solution], process: SweepingProcess, options: SolveOptions, progress: bool
-) -> Callable[[Array, float], Solution]:
-    """A run as a function of its times and tol, which keeps all of its states."""
-    options = replace(options, save=None)
-    return lambda times, tol: run(
-        process, replace(options, steps=times, tol=min(tol, options.tol)), progress=progress
-    )
+def _passes(
+    process: SweepingProcess, options: SolveOptions, callback: Callback | None, progress: bool
+) -> tuple[Callable[..., Solution], Callable[[Solution], Solution]]:
+    """A run as a function of its times and tol, with all states; and what makes the last of them.
 
-
-def _with_output(
-    run: Callable[..., Solution],
-    process: SweepingProcess,
-    options: SolveOptions,
-    sol: Solution,
-    callback: Callback | None,
-    progress: bool,
-) -> Solution:
-    """The run, made once more if there is a callback, or something else is to be kept."""
-    if not sol.success or (options.save is None and callback is None):
-        return sol
-    again = replace(options, steps=sol.t, tol=sol.plan.tol)
-    return replace(run(process, again, callback, progress), passes=sol.passes)
-
-
-def _warning_once(run: Callable[..., Solution]) -> Callable[..., Solution]:
-    """The function, whose warnings of the process are those of its first call."""
+    That is made once more if there is a callback, or something else is to be kept. Warnings of the
+    process are those of the first run.
+    """
     calls = count()
 
-    def quiet(*arguments: Any, **named: Any) -> Solution:
+    def run(times: Array, tol: float, save: Any = None, called: Any = None) -> Solution:
+        chosen = replace(options, t_end=None, steps=times, tol=min(tol, options.tol), save=save)
         with warnings.catch_warnings():
             if next(calls):
                 warnings.simplefilter("ignore", SweepoptWarning)
-            return run(*arguments, **named)
+            return _run(process, chosen, called, progress)
 
-    return quiet
+    def finished(sol: Solution) -> Solution:
+        if not sol.success or (options.save is None and callback is None):
+            return sol
+        again = run(sol.t, sol.plan.tol, options.save, callback)
+        return replace(again, passes=sol.passes)
+
+    return run, finished
 
 
 def _run(
