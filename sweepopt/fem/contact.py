@@ -336,7 +336,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     InputError
         If all of it is clamped.
     """
-    place = body.place("on", law.on, nodal=True)
+    place = body.place(law.on, nodal=True)
     nodes, N = place.nodes.T, body.scalar.N
 
     def moving_bound(k: Indices, t: float) -> Array:
@@ -450,7 +450,7 @@ def _tangents(body: Discretisation, nodes: Indices, names: Sequence[str]) -> Arr
         corner = np.linalg.norm(along * others, axis=1, keepdims=True) > SMOOTH
         axial = [name for name, what in body.held.items() if what != "n"]
         if axial:
-            corner |= np.isin(nodes, body.on_boundary("held", axial).nodes)[:, None]
+            corner |= np.isin(nodes, body.on_boundary(axial).nodes)[:, None]
         tangents = tangents - (along * corner)[..., None] * normal
         rubs = np.where(corner, rubs & (np.linalg.norm(tangents, axis=2) > PARALLEL), others)
     return tangents * rubs[..., None]

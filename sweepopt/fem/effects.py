@@ -515,7 +515,7 @@ class BodyForce(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        place = body.place("on", (), nodal=body.lumped)
+        place = body.place((), nodal=body.lumped)
         return Contribution(loads=[_force(body, self, self.f0, place)])
 
 
@@ -553,7 +553,7 @@ class Traction(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        place = body.on_boundary("on", self.on, nodal=body.lumped)
+        place = body.on_boundary(self.on, nodal=body.lumped)
         return Contribution(loads=[_force(body, self, self.f2, place)])
 
 
@@ -655,7 +655,7 @@ class PrescribedDisplacement(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held; none if d is zero everywhere."""
-        place, (coefficient,) = body.on_boundary("on", self.on, nodal=True), self.data
+        place, (coefficient,) = body.on_boundary(self.on, nodal=True), self.data
         full = np.zeros(body.nodes.size)
         for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
             at, values = dofs[place.nodes.T], place.values(coefficient, datum)
@@ -839,7 +839,7 @@ class OneWay(Record):
         """Rows bounded to one side."""
         known = [""] if body.components == 1 else list(AXES[: body.components])
         choice("along", self.along, known)
-        nodes = np.unique(body.place("on", self.on).nodes)
+        nodes = np.unique(body.place(self.on).nodes)
         E = sp.csr_array(body.extension[body.nodes[known.index(self.along), nodes]])
         E = E[np.diff(E.indptr) > 0]
         if not E.shape[0]:
@@ -996,34 +996,27 @@ def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_a
     return body.rows(basis, values)
 
 
-def _hooke(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[int, int], Any]:
-    """Entries of Hooke's law that are not zero, at the points of the quadrature."""
-    d = body.mesh.dim()
-    size = d if body.components == 1 else d * (d + 1) // 2
-    if tensor is not None:
-        C = np.asarray(symmetric("tensor", tensor, size))
-        if np.linalg.eigvalsh(C)[0] < 0:
-            raise InputError("tensor must be positive semidefinite; it has a negative eigenvalue")
-        return {(i, j): C[i, j] for i, j in np.argwhere(C).tolist()}
-    if body.components == 1:
-        return {(i, i): mu for i in range(d)}
-    if body.kind == "plane stress":
-        lam = 2 * lam * mu / (lam + 2 * mu)
-    law = {(i, j): lam + 2 * mu if i == j else lam for i in range(d) for j in range(d)}
-    return law | {(i, i): mu for i in range(d, size)}
-
-
 def _stiffness(body: Discretisation, effect: Viscosity | Elasticity) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
-    place = body.whole
+    place, strain, C = body.whole, strains_of(body), effect.tensor
+    normal = body.mesh.dim() if body.components > 1 else 0  # strains; the others are shears
     lam, mu = effect.moduli(body, place)
-    if body.kind == "plane stress" and mu is not None:
+    if C is not None:
+        size = body.mesh.dim() * (body.mesh.dim() + 1) // 2 if normal else body.mesh.dim()
+        C = symmetric("tensor", C, size)
+        if np.linalg.eigvalsh(C)[0] < 0:
+            raise InputError("tensor must be positive semidefinite; it has a negative eigenvalue")
+    elif body.kind == "plane stress":
         _check_proportional(body, lam / mu, "zeta" if isinstance(effect, Viscosity) else "nu")
-    strain, law = strains_of(body), _hooke(body, lam, mu, effect.tensor)
+        lam = 2 * lam * mu / (lam + 2 * mu)
 
     def form(u: Any, v: Any, _: Any) -> Any:
         a, b = strain(u), strain(v)
-        return sum(c * a[j] * b[i] for (i, j), c in law.items())
+        if C is not None:
+            return sum(C[i, j] * a[j] * b[i] for i, j in np.argwhere(C).tolist())
+        twice = sum(x * y for x, y in zip(a[:normal], b, strict=False))
+        every = sum(x * y for x, y in zip(a, b, strict=True))
+        return lam * sum(a[:normal]) * sum(b[:normal]) + mu * (twice + every)
 
     return body.restrict(place.matrix(form))
 
@@ -1055,7 +1048,7 @@ def _restrict(body: Discretisation, where: str, x: Any) -> Any:
 
 def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     """int c u . v on the unknowns."""
-    place = body.place("on", effect.on, nodal=body.lumped)
+    place = body.place(effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
     where = f"on: all of {', '.join(effect.on)}"
     return _restrict(body, where, place.matrix(lambda u, v, _: c * inner(u, v)))

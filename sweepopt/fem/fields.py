@@ -91,11 +91,11 @@ Datum = float | str | Mapping[str, float] | Profile | Callable[..., ArrayLike]
 """What an effect takes for a coefficient. A function gets x of shape (d, ...), and the time if it
 takes two arguments, and returns numbers of shape (...)."""
 
-FUNCTIONS: dict[str, np.ufunc] = {
+FUNCTIONS: dict[Any, np.ufunc] = {
     name: getattr(np, name)
     for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "minimum", "maximum")
 }
-OPERATORS: dict[type, Callable[..., Any]] = {
+OPERATORS: dict[Any, np.ufunc] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
     ast.Mult: np.multiply,
@@ -158,21 +158,21 @@ class Formula:
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 return np.float64(value)
-            case ast.Name(id="t"):
-                return np.float64(t)
-            case ast.Name(id="pi"):
-                return np.float64(np.pi)
+            case ast.Name(id="t" | "pi" as name):
+                return np.float64({"t": t, "pi": np.pi}[name])
             case ast.Name(id=name) if name in DIRECTIONS:
                 return coordinate(f"of {shown(self.text)}:", name, x)
-            case ast.UnaryOp(op=op, operand=one) if type(op) in OPERATORS:
-                return OPERATORS[type(op)](self._value(one, x, t))
-            case ast.BinOp(left=one, op=op, right=two) if type(op) in OPERATORS:
-                return OPERATORS[type(op)](self._value(one, x, t), self._value(two, x, t))
-            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if (
-                name in FUNCTIONS and len(args) == FUNCTIONS[name].nin
-            ):
-                return FUNCTIONS[name](*(self._value(one, x, t) for one in args))
-        raise self._refusal()
+            case ast.UnaryOp(op=op, operand=one):
+                function, terms = OPERATORS.get(type(op)), [one]
+            case ast.BinOp(left=one, op=op, right=two):
+                function, terms = OPERATORS.get(type(op)), [one, two]
+            case ast.Call(func=ast.Name(id=name), args=terms, keywords=[]):
+                function = FUNCTIONS.get(name)
+            case _:
+                raise self._refusal()
+        if function is None or function.nin != len(terms):
+            raise self._refusal()
+        return function(*(self._value(one, x, t) for one in terms))
 
 
 parsed = lru_cache(Formula)

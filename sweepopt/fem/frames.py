@@ -101,7 +101,7 @@ def frame_of(body: Discretisation) -> Frame:
 
 def normals_at(body: Discretisation, names: Sequence[str]) -> tuple[Indices, Array]:
     """The nodes of boundaries, each with the mean outward normal, weighted by the facets' sizes."""
-    basis, _, nodes = body.on_boundary("held", names, nodal=True)
+    basis, _, nodes = body.on_boundary(names, nodal=True)
     weighted = basis.normals * basis.dx.sum(axis=1)[None, :, None]
     along = nodes.T
     sums = np.zeros((body.scalar.N, len(weighted)))

@@ -151,7 +151,7 @@ class Plasticity(Record):
 
     def _place(self, body: Discretisation) -> Place:
         """The points of strains where it acts."""
-        return body.place("on", self.on or (), strains=True)
+        return body.place(self.on or (), strains=True)
 
     def _moduli(self, body: Discretisation) -> list[Array]:
         """lam and mu of the scene's elasticity at points where it acts."""

@@ -286,18 +286,14 @@ def _construct(
 
     def read(key: str, value: Any) -> Any:
         if not kind.__module__.startswith("sweepopt."):  # ours say more
-            _require_plain(where + key, signature(kind).parameters[key].annotation, value)
+            annotation = signature(kind).parameters[key].annotation
+            name = getattr(annotation, "__name__", str(annotation)).removesuffix(" | None")
+            plain, words = PLAIN.get(name, (object, ""))
+            if not isinstance(value, plain) or (type(value) is bool and name in ("float", "int")):
+                raise InputError(f"{where}{key} must be {words}, got {shown(value)}")
         return _value(key, value, where + key, folder)
 
     return from_table(where, kind, table, read, missing)
-
-
-def _require_plain(path: str, annotation: Any, value: Any) -> None:
-    """Refuse a value that is not what a field of a user's effect is annotated with."""
-    name = getattr(annotation, "__name__", str(annotation)).removesuffix(" | None")
-    kind, words = PLAIN.get(name, (object, ""))
-    if not isinstance(value, kind) or (isinstance(value, bool) and name in ("float", "int")):
-        raise InputError(f"{path} must be {words}, got {shown(value)}")
 
 
 def _value(key: str, value: Any, path: str, folder: Path) -> Any:

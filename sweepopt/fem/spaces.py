@@ -254,15 +254,16 @@ class Discretisation(Brief):
         graph = sp.coo_array((np.ones(rows.size), (rows, cells.ravel())), shape=(size, size))
         count, piece = sp.csgraph.connected_components(graph, directed=False)
         axes, scale = np.eye(self.components), np.abs(M).max() or 1.0
+        turns = [np.outer(a, b) - np.outer(b, a) for a, b in combinations(axes, 2)]
         for k in range(count):
             nodes = np.flatnonzero(piece == k)
             x = self.points[nodes] - self.points[nodes].mean(axis=0)
             x = x / (np.abs(x).max() or 1.0)
-            modes = [np.outer(axis, np.ones(len(x))) for axis in axes]
-            for i, j in combinations(range(self.components), 2):
-                modes.append(np.outer(axes[i], x[:, j]) - np.outer(axes[j], x[:, i]))
+            modes = np.array(
+                [*(np.tile(axis, (len(x), 1)) for axis in axes), *(x @ turn for turn in turns)]
+            )
             full = np.zeros((self.nodes.size, len(modes)))
-            full[self.nodes[:, nodes]] = np.moveaxis(np.array(modes), 0, -1)
+            full[self.nodes.T[nodes]] = np.moveaxis(modes, 0, -1)
             free = self.extension.T @ full
             gram = full.T @ full - free.T @ free + free.T @ (M @ free) / scale
             if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
@@ -415,17 +416,13 @@ class Discretisation(Brief):
         full = sp.csr_array(entries, shape=(at.size, basis.N))
         return sp.csr_array(full @ self.extension)
 
-    def place(
-        self, what: str, on: Sequence[str], *, nodal: bool = False, strains: bool = False
-    ) -> Place:
+    def place(self, on: Sequence[str], *, nodal: bool = False, strains: bool = False) -> Place:
         """Where an effect acts: boundaries, subdomains, or all of the body ("body").
 
         Parameters
         ----------
-        what : str
-            The argument that names them, for errors.
         on : sequence of str
-            Empty is all of it, whatever has the name "body".
+            Errors call them so. Empty is all of it, whatever has the name "body".
         nodal : bool
             With the scalar element and a quadrature whose points are the nodes.
         strains : bool
@@ -436,19 +433,19 @@ class Discretisation(Brief):
         cells, groups, rule = np.arange(self.mesh.nelements), dict[str, Indices](inside), None
         if not strains and (both := [one for one in on if one in inside and one in boundaries]):
             raise InputError(
-                f"{what}: {both[0]!r} is a boundary and a subdomain; give one another name"
+                f"on: {both[0]!r} is a boundary and a subdomain; give one another name"
             )
         if on and all(name in inside for name in on):
             for name in on:
-                _require_some(what, name, inside[name])
+                _require_some("on", name, inside[name])
             cells = np.unique(np.concatenate([inside[name] for name in on]))
             groups = {name: np.searchsorted(cells, inside[name]) for name in on}
         elif on and (tuple(on) != (BODY,) or BODY in boundaries):
             if strains:
                 raise InputError(
-                    f"{what}: name subdomains, or 'body'; there are: {', '.join(inside) or 'none'}"
+                    f"on: name subdomains, or 'body'; there are: {', '.join(inside) or 'none'}"
                 )
-            return self.on_boundary(what, on, nodal=nodal)
+            return self.on_boundary(on, nodal=nodal)
         elif strains:
             return self.whole
         if nodal:
@@ -462,9 +459,9 @@ class Discretisation(Brief):
             basis.dx = 1.0 / times[basis.element_dofs.T]
         return Place(basis, groups, self.scalar.element_dofs[:, cells])
 
-    def on_boundary(self, what: str, names: Sequence[str], *, nodal: bool = False) -> Place:
+    def on_boundary(self, names: Sequence[str], *, nodal: bool = False) -> Place:
         """Boundaries alone, whatever subdomain has their name; arguments as of `place`."""
-        facets, groups = self.facets(what, names)
+        facets, groups = self.facets("on", names)
         rule = self.rule(self.mesh.dim() - 1) if nodal else None
         basis = self._integrals(skfem.FacetBasis, nodal, quadrature=rule, facets=facets)
         return Place(basis, groups, self.facet_nodes(facets))
