@@ -85,6 +85,28 @@ def test_discs_too_many_for_newton_may_have_units_of_their_own():
     assert sol.stats["relative"].max() <= 1e-6
 
 
+W, V = np.random.default_rng(0).normal(size=(2, 3, 3))
+WITH_MATRICES = {
+    "ellipsoid": lambda F: so.Ellipsoid(np.zeros(3), F**2 * W @ W.T),
+    "rows": lambda F: so.Polyhedron(np.vstack([W, -W]) / F, np.full(6, 0.2)),
+    "image": lambda F: so.image(F * W, so.Polyhedron(np.vstack([V, -V]), np.ones(6))),
+    "sum": lambda F: so.image(F * W, so.Ball(np.zeros(3), 1.0)) + so.image(F * V, CUBE),
+    "intersection": lambda F: so.image(F * W, so.Ball(np.zeros(3), 1.0)) & so.image(F * V, CUBE),
+}
+CUBE = so.Box(-np.ones(3), np.ones(3))
+
+
+@pytest.mark.parametrize("name", WITH_MATRICES)
+@pytest.mark.parametrize("power", [-40, 40])
+def test_solvers_do_not_see_the_units_of_the_matrices_of_a_set(name, power):
+    """With F for the unit of forces, a matrix of an image is in F, rows are in 1 / F."""
+    F = 2.0**power
+    one, two = (run(WITH_MATRICES[name](f), 3, f, solver="clarabel") for f in (1.0, F))
+    proved = one.stats["relative"].max() + two.stats["relative"].max()
+    assert np.abs(one.u).max() > 1e-3
+    np.testing.assert_allclose(two.u, one.u, rtol=0, atol=proved * np.abs(one.u).max())
+
+
 @pytest.mark.parametrize("columns", [2, 6])
 def test_columns_of_an_image_may_have_units_of_their_own(columns):
     random = np.random.default_rng(columns)

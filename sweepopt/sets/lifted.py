@@ -68,9 +68,6 @@ class Lifted(ConvexSet):
         self.operands: tuple[ConvexSet, ...] = sum(
             (C.operands if type(C) is type(self) else (C,) for C in operands), ()
         )
-        unit = binary(float(np.abs(lifted.F.data).max(initial=0.0)))
-        if unit != 1:  # programs see rows of numbers near 1
-            lifted = lifted._replace(F=lifted.F / unit)
         self.lifted, self.dim, self.part = lifted, lifted.E.shape[0], product_of(lifted.parts)
         self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
         self._cut = lifted.F.shape[0] > 0
@@ -92,7 +89,9 @@ class Lifted(ConvexSet):
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 
-        inner, F = (self.lifted.E.T / self._unit) @ p, self.lifted.F
+        # a program sees numbers near 1; F maps the parts as E does
+        E, F = (M / self._unit for M in self.lifted[:2])
+        inner = E.T @ p
         if not F.shape[0]:
             return self.part.features(inner)
         multipliers = cp.Variable(F.shape[0])
