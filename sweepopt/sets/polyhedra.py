@@ -172,10 +172,9 @@ class Polyhedron(ConvexSet):
                 normals, inverse = (G := dense(self.rows[active])), np.linalg.pinv(G)
                 y, meet = np.maximum(z @ inverse, 0.0), s[:, active] @ inverse.T @ self.rows.T
                 rounding = 10 * ROUNDING * (np.abs(z) + np.abs(y) @ np.abs(normals))
-                serves |= (
-                    ((s == s[0]) | (meet <= s + ROUNDING * (s + np.abs(meet)))).all(axis=1)
-                    & (np.abs(y @ normals - z) <= rounding).all(axis=1)
-                )
+                inside = (s == s[0]) | (meet <= s + ROUNDING * (s + np.abs(meet)))
+                equal = np.abs(y @ normals - z) <= rounding
+                serves |= inside.all(axis=1) & equal.all(axis=1)
                 y[0] = of_first[active]
                 multipliers[left[serves]] = 0.0
                 multipliers[np.ix_(left[serves], active)] = y[serves] / self._units[active]
