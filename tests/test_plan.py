@@ -213,6 +213,7 @@ def test_opposite_rows_are_the_equal_bounds_of_a_box(n, always):
         so.solve(so.SweepingProcess(0.1 * T, T, C, np.zeros(n)), **EULER)
         for C in (so.Polyhedron(both, h), so.MovingSet(box))
     )
+    assert rows.plan.path == ("eliminated" if always else "full")
     assert rows.stats["attempts"].max() <= 2
     np.testing.assert_allclose(rows.u, bounds.u, rtol=0, atol=2e-9 * np.abs(bounds.u).max())
 

@@ -24,6 +24,7 @@ from sweepopt.sets.base import (
     Halfspaces,
     NormalPair,
     Perturbation,
+    Selection,
     row_units,
 )
 from sweepopt.sets.least_distance import (
@@ -40,7 +41,7 @@ from sweepopt.sets.least_distance import (
 )
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
-from sweepopt.sets.shapes import Box, Orthant, rows_features
+from sweepopt.sets.shapes import FEW, Box, Orthant, rows_features
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -114,6 +115,7 @@ class Polyhedron(ConvexSet):
     def with_offsets(self, h: Any) -> Polyhedron:
         """{ w : G w <= h } with the same matrix object, so that `same_cone` is free."""
         other = copy.copy(self)
+        other.__dict__.pop("selection", None)
         other._set_offsets(h)
         return other
 
@@ -135,6 +137,26 @@ class Polyhedron(ConvexSet):
         i, j, factor = (x[rows.data != 0] for x in (*rows.coords, rows.data))
         single = np.unique(i).size == i.size
         return Bounds.of_entries(i, j, factor, self.dim) if single else None
+
+    @cached_property
+    def selection(self) -> Selection | None:
+        """The unknowns beside those that an equation fixes, if that is worth eliminating these."""
+        flat = self._flat(np.zeros(self.dim))
+        if not flat.equations.any():
+            return None
+        rows = sp.csr_array(self.rows)
+        rows.eliminate_zeros()
+        fix = np.flatnonzero(flat.equations & (np.diff(rows.indptr) == 1))
+        fixed = rows[fix].indices
+        few = np.setdiff1d(np.arange(self.dim), fixed)
+        if not fix.size or not 0 < few.size <= FEW:
+            return None
+        shift = np.zeros(self.dim)
+        shift[fixed] = self.offsets[fix] / rows[fix].data
+        h, rows = self.offsets - rows @ shift, rows[:, few]
+        left = np.diff(rows.indptr) > 0
+        part = Polyhedron(rows[left], h[left]).member(h[left])
+        return Selection(few, part, shift if shift.any() else None)
 
     def support(self, z: Array) -> float:
         return float(self.support_rows(z[None])[0])
