@@ -159,8 +159,9 @@ def solve(
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
         What catching-up does when step * Lam > 2. Unless it is "ignore", and but for Adaptive and
-        `error`, a run warns of steps of half a period of a Sine or Triangle and more, and schemes
-        by name: catching-up between 1 and 2; midpoint and trapezoid where they ring
+        `error` with implicit schemes, a run warns of steps of half a period of a Sine or Triangle
+        and more, and schemes by name: catching-up between 1 and 2; midpoint and trapezoid where
+        they ring
         (step * Lam > 10/3 or A = 0, while C(t) moves); where B u0 is outside of C(0), midpoint and
         trapezoid from 2 on and sdirk2 from 1 + sqrt 2 on, which can overshoot the equilibrium.
 

@@ -105,6 +105,9 @@ def test_solvers_do_not_see_the_units_of_the_matrices_of_a_set(name, power):
     proved = one.stats["relative"].max() + two.stats["relative"].max()
     assert np.abs(one.u).max() > 1e-3
     np.testing.assert_allclose(two.u, one.u, rtol=0, atol=proved * np.abs(one.u).max())
+    z = np.array([1.0, 0.5, -0.3])
+    lengths = [WITH_MATRICES[name](f).support(z) / f for f in (1.0, F)]
+    assert lengths[1] == pytest.approx(lengths[0], rel=1e-9)
 
 
 @pytest.mark.parametrize("columns", [2, 6])

@@ -611,8 +611,9 @@ class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
     It cannot be combined with a yield stress, one-way motion, plasticity or a Maxwell branch, which
-    would have to see it. Breakpoints of the history should be ends of steps. Of the energies of a
-    run only that lost by friction is known, as what is held is no unknown; the others are nan.
+    would have to see it. Steps end at breakpoints of the history, if they are not too many. Of the
+    energies of a run only that lost by friction is known, as what is held is no unknown; the others
+    are nan.
     Pictures draw the force on the body along d, positive in its direction,
     <d, A u' + B u - f> / |d| with |d| the largest length.
 

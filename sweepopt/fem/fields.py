@@ -145,7 +145,7 @@ class Formula:
         try:
             with np.errstate(all="ignore"):  # what is no finite number is refused by who asks
                 return self._value(self.tree, np.asarray(x, dtype=float), t)
-        except (TypeError, OverflowError):
+        except (TypeError, OverflowError, RecursionError):
             raise self._refusal() from None
 
     def _refusal(self) -> InputError:

@@ -11,7 +11,7 @@ from sweepopt.checks import TIME_SLACK, Array, axes, count, increasing, number
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
 from sweepopt.linalg import EPS
-from sweepopt.loads import Constant, History, Sine, Triangle, breakpoints
+from sweepopt.loads import Constant, History, Sine, Slope, Triangle, breakpoints
 from sweepopt.problem import SweepingProcess, histories_of, motion
 from sweepopt.velocity import Plan
 
@@ -128,9 +128,10 @@ def evaluation_times(times: Array, mus: Array, scheme: Scheme) -> Array:
 
 
 def shortest_period(process: SweepingProcess) -> float:
-    """That of the waves that C(t) moves with as data; infinite if there are none."""
-    waves = (one for one in histories_of(process.C) if isinstance(one, (Sine, Triangle)))
-    return min((wave.period for wave in waves if wave.amplitude), default=math.inf)
+    """That of the waves, or their slopes, that C(t) moves with as data; infinite without any."""
+    histories = (one.history if isinstance(one, Slope) else one for one in histories_of(process.C))
+    waves = (one for one in histories if isinstance(one, (Sine, Triangle)) and one.amplitude)
+    return min((wave.period for wave in waves), default=math.inf)
 
 
 def check_resolution(process: SweepingProcess, plan: Plan, times: Array) -> None:
@@ -140,15 +141,13 @@ def check_resolution(process: SweepingProcess, plan: Plan, times: Array) -> None
     """
     period = shortest_period(process)
     longest = float(np.diff(np.union1d(times, plan.breakpoints)).max())
-    # a Triangle has breakpoints half a period apart
-    slack = TIME_SLACK if plan.breakpoints.size else -TIME_SLACK
-    if plan.scheme.exact or longest < (1 + slack) * period / 2:
+    if plan.scheme.exact or longest < (1 - TIME_SLACK) * period / 2:
         return
     enough = math.ceil((times[-1] - times[0]) / period * 2 * PER_PIECE * (1 - TIME_SLACK))
     warn(
         f"the load has a period of {period:g}, but steps are up to {longest:g} long: with two in a "
-        f"period or fewer its waves can pass unseen. Take steps={enough} at least, which are "
-        f"{2 * PER_PIECE} in each period, or steps=so.Adaptive(tol)",
+        f"period or fewer its waves can pass unseen. Take {2 * PER_PIECE} steps in each period at "
+        f"least, which are steps={enough} if they are equal, or steps=so.Adaptive(tol)",
         StabilityWarning,
     )
 

@@ -15,8 +15,9 @@ data, too: a step that contains some is taken in parts that end there, unless th
 the grid (`grid.meeting_breakpoints`). Else a turn of the load inside a step costs O(mu) where A is
 0, and where it falls decides which scheme is best: of 300 tables on step * Lam from 1e-2 to inf 8
 errors were above twice the best of implicit-euler, midpoint and sdirk2, the worst 5.2 times; now
-none, 1.6 times. Schemes by name do not, so that a comparison shows the tableaux; but all meet the
-jumps of a velocity that is prescribed, as a step would take the one at its end for all of its way.
+none, 1.6 times. Schemes by name do not, so that a comparison shows the tableaux; but with
+the same limit all meet the jumps of a velocity that is prescribed, as a step would take the one at
+its end for all of its way.
 """
 
 import math

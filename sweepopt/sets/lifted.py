@@ -71,7 +71,6 @@ class Lifted(ConvexSet):
         self.lifted, self.dim, self.part = lifted, lifted.E.shape[0], product_of(lifted.parts)
         self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
         self._cut = lifted.F.shape[0] > 0
-        self._unit = binary(float(np.abs(lifted.E.data).max(initial=0.0)))
 
     def form(self) -> Form:
         return self.lifted
@@ -83,14 +82,21 @@ class Lifted(ConvexSet):
     # ---- support function -----------------------------------------------------------------------
 
     @cached_property
+    def _units(self) -> list[float]:
+        """Of each part, near the numbers in its columns: in them a program sees numbers near 1."""
+        sizes = abs(sp.vstack(self.lifted[:2])).max(axis=0).toarray().ravel()
+        return [binary(float(sizes[at].max())) for _, at in placed(self.lifted.parts)]
+
+    @cached_property
     def offsets(self) -> Array:  # type: ignore[override]
-        return np.append(np.zeros(self.lifted.F.shape[0]), self._unit * self.part.offsets)
+        units = np.repeat(self._units, [part.offsets.size for part in self.lifted.parts])
+        return np.append(np.zeros(self.lifted.F.shape[0]), units * self.part.offsets)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 
-        # a program sees numbers near 1; F maps the parts as E does
-        E, F = (M / self._unit for M in self.lifted[:2])
+        units = np.repeat(self._units, [part.dim for part in self.lifted.parts])
+        E, F = (M @ sp.diags_array(1 / units) for M in self.lifted[:2])
         inner = E.T @ p
         if not F.shape[0]:
             return self.part.features(inner)
