@@ -116,6 +116,8 @@ class MovingSet(Operators):
     def members(self, times: Array) -> list[tuple[float, ConvexSet]]:
         """Look at every C(t), and keep one of each run that differs in the offsets only.
 
+        Also the first one that acts on other unknowns than those before: it tells that they change.
+
         Returns
         -------
         list of (t, C(t))
@@ -128,6 +130,7 @@ class MovingSet(Operators):
             If C(t) is not finite or changes its dimension.
         """
         kept: list[tuple[float, ConvexSet]] = []
+        acts_on: set[bytes] = set()
         last = None
         for t in map(float, times):  # no list: of many steps it is large
             C = self.at(t)
@@ -138,7 +141,12 @@ class MovingSet(Operators):
                     for part in self.operands:
                         part.at(t)  # a scale < 0 for example
                     raise
-            if last is None or not last.same_cone(C):
+            other = False
+            if len(acts_on) < 2 and not C.singleton:
+                key = b"" if C.selection is None else C.selection.unknowns.tobytes()
+                other = key not in acts_on
+                acts_on.add(key)
+            if last is None or other or not last.same_cone(C):
                 kept.append((t, C))
             last = C
         return kept
