@@ -389,8 +389,9 @@ def companion(
 
     A step has one program, that of its last stage, which is the inclusion at the node itself, so
     that no difference of forces is divided by A; an explicit stage before it is that of the step
-    before. The first step, and one after a stage without a program, is one of implicit Euler, in
-    which errors of the start fade. Weights are positive, so that means of velocities stay in cones.
+    before. The first step, and one after a second stage without a program, is one of implicit
+    Euler, in which errors of the start fade; without a program it is at rest, and the residual has
+    what is missing. Weights are positive, so that means of velocities stay in cones.
     A program that misses its tolerance is in the residual.
     """
     times, mus = time_grid(None, t)
