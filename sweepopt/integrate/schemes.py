@@ -44,8 +44,8 @@ class Scheme:
         For translated sets with smooth loads; infinite if the scheme has no error in time.
     euler_steps : int
         Into how many steps of implicit Euler a stiff step is divided in which unknowns that rest or
-        turn back in the last stage moved more than the velocities of others change; 0 for none.
-        Their matrix is that of the stages.
+        turn back in the last stage moved more than implicit Euler is late to follow the others; 0
+        for none. Their matrix is that of the stages.
     reason : str
         Why "auto" is this scheme.
     """

