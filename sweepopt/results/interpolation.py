@@ -21,13 +21,11 @@ from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
-_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-GAUSS, WEIGHTS = 0.5 + 0.5 * _POINTS, 0.5 * _WEIGHTS
+GAUSS, WEIGHTS = (np.polynomial.legendre.leggauss(4) + np.array([[1], [0]])) / 2
 """Points and weights on [0, 1]: exact for squares of cubics."""
 TO_BERNSTEIN = to_bernstein(GAUSS)
 
 NODAL = math.factorial(4) ** 2 / math.factorial(8)  # max of prod |x - x_g| on [0, 1]
-NODAL_SLOPE = 4 * 5 * NODAL  # of its derivative: at the ends, as that of Legendre's polynomials
 SAMPLES = 64  # of an interval of which only a variation is known: its bound is that much sharper
 GAUSS_TO_PARTS = basis(3, np.arange(SAMPLES + 1) / SAMPLES) @ TO_BERNSTEIN
 
@@ -83,9 +81,10 @@ def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
             continue  # straight between its breakpoints
         if hasattr(history, "piece"):
             # |(phi - p)^(k)| <= max |omega^(k)| max |phi^(4)| / 4!, omega = prod (x - x_g), for
-            # k = 0 and 1 (Shadrin, J. Approx. Theory 80, 1995)
+            # k = 0 and 1 (Shadrin, J. Approx. Theory 80, 1995); omega is a multiple of Legendre's
+            # polynomial, whose slope at an end of [0, 1] is 4 * 5 times its value there
             fourth = _derivative(history, 4, begin, end) * h**4
-            errors[:, k] = np.outer(fourth / 24, [NODAL, NODAL_SLOPE])
+            errors[:, k] = np.outer(fourth / 24, [NODAL, 4 * 5 * NODAL])
         elif getattr(history, "variation", None) is not None:
             for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
                 errors[i, k] = _by_variation(function, history, a, b, samples[i])
