@@ -25,6 +25,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
 from sweepopt.fem.spaces import Discretisation, Place
+from sweepopt.linalg import NEGLIGIBLE
 from sweepopt.loads import Constant, Separable
 from sweepopt.sets import Balls, Box, ConvexSet, SecondOrderCone, images, product
 
@@ -598,11 +599,6 @@ def signed_lengths(x: Array) -> Array:
     return x if x.ndim == 2 else np.linalg.norm(x, axis=2)
 
 
-REST = 1e-12
-"""Share of the largest slip rate of a run up to which a node sticks: a body that creeps to its
-equilibrium ends with the rounding of its forces, of which up to 2e-14 were seen."""
-
-
 def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     """Stick, slip and friction of a run; None for a scene without friction.
 
@@ -635,7 +631,8 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
     velocity = contact.of(solution.velocity) * along
     speed = np.abs(signed_lengths(velocity))
-    velocity[speed <= REST * speed.max()] = 0.0
+    # a body that creeps to its equilibrium ends with the rounding of its forces: 2e-14 were seen
+    velocity[speed <= NEGLIGIBLE * speed.max()] = 0.0
     every = sp.vstack([one.rows.E for one in scene.yields], "csr")
     entries = np.diff(every.indptr)  # more than one of a row that combines unknowns
     laws = contact.of(np.bincount(every.indices, np.repeat(entries, entries)))

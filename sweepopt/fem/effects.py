@@ -37,6 +37,7 @@ from sweepopt.fem.contact import Rows, Yield, friction_on
 from sweepopt.fem.fields import Array, Coefficient, Datum, SlipLaw, in_time
 from sweepopt.fem.frames import held_directions
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
+from sweepopt.linalg import NEGLIGIBLE
 from sweepopt.loads import History
 
 Phi = Callable[[float], Any]
@@ -89,8 +90,6 @@ class Kinematics(NamedTuple):
 
 Stress = Callable[[Kinematics], Array]
 Moduli = Callable[[Discretisation, Place], tuple[Any, Any]]
-TURNED = 1e-12
-"""Share of a vector: components along normals and tangents that are less are rounding of these."""
 
 
 class Effect(Protocol):
@@ -661,14 +660,14 @@ class PrescribedDisplacement(Record):
         for dofs, datum in zip(body.nodes, coefficient.parts(self.d, body.components), strict=True):
             at, values = dofs[place.nodes.T], place.values(coefficient, datum)
             full[at] = values
-            if np.abs(full[at] - values).max() > TURNED * np.abs(values).max():
+            if np.abs(full[at] - values).max() > NEGLIGIBLE * np.abs(values).max():
                 raise InputError(
                     f"d: two of {', '.join(self.on)} share nodes and move them differently; let d "
                     "agree there, as one formula in x and y does"
                 )
         T = body.frame.T
         along = T.T @ full
-        given = np.abs(along) > TURNED * np.abs(along).max()
+        given = np.abs(along) > NEGLIGIBLE * np.abs(along).max()
         along[body.free] = 0.0
         if not full.any():
             return Contribution()
@@ -688,7 +687,7 @@ class PrescribedDisplacement(Record):
         still = set(body.clamped or ()) - set(chain.from_iterable(moving))
         for name, nodes, directions in held_directions(body):
             moved = np.abs((directions * lift[body.nodes.T[nodes]]).sum(axis=1)).max()
-            if name not in {*self.on, *still} and moved > TURNED * np.abs(lift).max():
+            if name not in {*self.on, *still} and moved > NEGLIGIBLE * np.abs(lift).max():
                 raise InputError(
                     f"on: {', '.join(self.on)} shares nodes with {name}, which is held there "
                     f"along d; name both in one effect, or let d be functions that leave {name} "
@@ -1042,7 +1041,7 @@ def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
 def _restrict(body: Discretisation, where: str, x: Any) -> Any:
     """A matrix or a vector on the unknowns; refused if all that it acts on is held."""
     restricted, size = body.restrict(x), abs(x).sum()
-    if size and abs(restricted).sum() <= TURNED * size:
+    if size and abs(restricted).sum() <= NEGLIGIBLE * size:
         raise InputError(f"{where} is clamped or held, so that its displacement is given")
     return restricted
 

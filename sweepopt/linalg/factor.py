@@ -31,7 +31,8 @@ from sweepopt.linalg.matrices import (
 from sweepopt.linalg.ordering import is_solid
 from sweepopt.linalg.twice_precision import Precise
 
-NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
+NEGLIGIBLE = 1e-12
+"""Share of a vector, or of the largest of several, below which parts of it are rounding."""
 
 
 class Factor:

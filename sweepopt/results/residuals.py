@@ -24,7 +24,7 @@ import numpy as np
 
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError
-from sweepopt.linalg import row_lengths
+from sweepopt.linalg import NEGLIGIBLE, row_lengths
 from sweepopt.problem import (
     ONE,
     Motion,
@@ -63,8 +63,8 @@ HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
 THIRDS = np.arange(4) / 3
 
-_BUBBLE = GAUSS * (1 - GAUSS)
-LOBATTO = np.stack([1 - GAUSS, GAUSS, _BUBBLE, _BUBBLE * (1 - 2 * GAUSS)], axis=1)
+LOBATTO = np.stack([1 - GAUSS, GAUSS, GAUSS * (1 - GAUSS), GAUSS * (1 - GAUSS)], axis=1)
+LOBATTO[:, 3] *= 1 - 2 * GAUSS
 LOBATTO *= np.sqrt([3, 3, 30, 210])
 """Four functions of norm 1 in L^2(0, 1), whose sums with vectors r_k are the cubics r. r_0 and r_1,
 its values at the ends, are next to 0 where v satisfies the inclusion at nodes."""
@@ -93,7 +93,6 @@ of |e|_B smaller if r vanishes somewhere on the step: then int |r'| >= sup |r|, 
 sqrt(S) the step adds at least sqrt(8 / (step * Lam)) times as much to the bound as with int |r|^2 /
 2."""
 LEAST_SCALE = 1e-9  # of its largest: a scale counts as that, so that a closed set has a point too
-COINCIDENT = 1e-12  # relative to the largest force: points nearer than that are projected as one
 CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
 
 
@@ -520,7 +519,7 @@ def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Arra
     # projections one by one take most of the time, and chords lose little; where the force is in S
     # the curve is the force itself
     line = _projections(S, ends)
-    inside = (np.abs(line - ends) <= COINCIDENT * np.abs(ends).max()).all(axis=(1, 2))
+    inside = (np.abs(line - ends) <= NEGLIGIBLE * np.abs(ends).max()).all(axis=(1, 2))
     s: Array = line[:, :1] + THIRDS[:, None] * (line[:, 1:] - line[:, :1])
     if inside.any():
         s[inside, 1:-1] = _projections(S, aim[inside, 1:-1])

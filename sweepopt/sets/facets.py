@@ -15,7 +15,7 @@ import scipy.linalg
 import scipy.optimize
 
 from sweepopt.checks import Array
-from sweepopt.linalg import dense, row_lengths
+from sweepopt.linalg import NEGLIGIBLE, dense, row_lengths
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import RANK, ConvexSet, Form, Halfspaces, NoHalfspacesError, placed
 from sweepopt.sets.polyhedra import Polyhedron
@@ -23,7 +23,6 @@ from sweepopt.sets.polytope import Polytope, hull_vertices
 
 UNBOUNDED = "a sum or an image of an unbounded set; state its rows as so.Polyhedron(G, h)"
 VERTICES = 2000  # of a sum or an image: as many rows make a phase take seconds
-LEAST_RADIUS = 1e-12  # of a set's offsets: a smaller radius is rounding
 
 
 class Affine(NamedTuple):
@@ -111,10 +110,10 @@ def _corners(rows: Halfspaces) -> Array:
     if ball.x is None:
         raise NoHalfspacesError(UNBOUNDED)
     centre, radius = size * ball.x[:-1], size * ball.x[-1]
-    if radius <= LEAST_RADIUS * size:
+    if radius <= NEGLIGIBLE * size:
         more = real[ball.ineqlin.marginals < 0]
         return _corners(Halfspaces(N, d, np.vstack([E, dense(N)[more]]), np.append(e, d[more])))
     normals, distances, equal, _ = Polytope(A * (radius / (b - A @ centre))[:, None]).halfspaces()
-    if len(equal) or (distances <= LEAST_RADIUS).any():  # the centre is not inside of the polar set
+    if len(equal) or (distances <= NEGLIGIBLE).any():  # the centre is not inside of the polar set
         raise NoHalfspacesError(UNBOUNDED)
     return start + (centre + radius * normals / distances[:, None]) @ span.T

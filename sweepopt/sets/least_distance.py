@@ -36,7 +36,6 @@ from sweepopt.linalg import EPS, dense, product_error, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING
 
 PARALLEL = 4 * EPS  # of unit rows: k n is rounded once, and both lengths three times
-DEPENDENT = 1e-14  # the part of a row outside of the span of others that is rounding
 EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 
 
@@ -153,7 +152,7 @@ def _binding(G: Any, slack: Array, rounding: Array, rows: Array) -> Array:
     by_size = np.argsort(-sizes)
     R, order = scipy.linalg.qr(columns[by_size], mode="r", pivoting=True)
     diagonal = np.abs(R.diagonal())
-    rank = int((diagonal > DEPENDENT * sizes[by_size][: diagonal.size]).sum())
+    rank = int((diagonal > RANK * sizes[by_size][: diagonal.size]).sum())
     basis, dependent = rows[order[:rank]], rows[order[rank:]]
     if dependent.size:
         shares = scipy.linalg.solve_triangular(R[:rank, :rank], R[:rank, rank:])

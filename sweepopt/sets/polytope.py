@@ -11,6 +11,7 @@ from sweepopt.checks import Array, matrix
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
+    RANK,
     ROUNDING,
     ConvexSet,
     Features,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 HULL = 8  # dimensions up to which a hull is computed
 TURNS = 20  # changes of the face, for each vertex
-COPLANAR = 1e-13  # points of size 1 that are nearer to a facet's plane lie on it: a few roundings
 
 
 class _Face(NamedTuple):
@@ -187,7 +187,7 @@ def _facets(points: Array) -> tuple[Array, Array]:
         while left.any():
             first = int(left.argmax())
             n, on = hull.equations[first, :-1], points @ hull.equations[first, :-1]
-            on = on + hull.equations[first, -1] > -COPLANAR
+            on = on + hull.equations[first, -1] > -RANK  # points of size 1
             left &= ~on[hull.simplices].all(axis=1)
             left[first] = False
             better = np.linalg.svd(points[on] - points[on].mean(axis=0), False)[2][-1]
