@@ -27,8 +27,8 @@ TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node or a range: rounding of t0 + i mu."""
 MEMORY = 4e9
 """Bytes that the kept states of a run may take if nobody says more."""
-MOST_UNKNOWNS = 10**9
-"""A vector of more of them takes 8 GB, and a step needs a few."""
+LONGEST = 10**8
+"""Unknowns, or steps of a run, whose times and statistics alone are gigabytes."""
 
 
 def meaning(**arguments: str) -> Callable[[F], F]:
@@ -256,10 +256,8 @@ def count(name: str, value: Any, least: int = 1) -> int:
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     size = count("dim", dim)
-    if size > MOST_UNKNOWNS:
-        raise InputError(
-            f"dim is {shown(size)}, more than {MOST_UNKNOWNS:.0e}; no vector fits in memory"
-        )
+    if size > LONGEST:
+        raise InputError(f"dim is {shown(size)}, more than {LONGEST:.0e}; no vector fits in memory")
     return size
 
 

@@ -7,16 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, Array, axes, count, increasing, number
+from sweepopt.checks import LONGEST, TIME_SLACK, Array, axes, count, increasing, number
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
-from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
+from sweepopt.integrate.schemes import Scheme, rings
 from sweepopt.linalg import EPS
 from sweepopt.loads import Constant, History, Sine, Slope, Triangle, breakpoints
 from sweepopt.problem import SweepingProcess, histories_of, motion
 from sweepopt.velocity import Plan
 
-MOST_STEPS = 10**8
-"""Steps of one run: their times and statistics alone are gigabytes."""
 LARGEST_CONTRACTION = 0.8
 """By no more than this: a fixed point has ten digits after 100 iterations then."""
 RINGING = 0.25
@@ -46,8 +44,8 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
             if isinstance(steps, (float, np.floating)):
                 hint = "for steps of length dt give round(t_end / dt), or the times themselves"
             raise InputError(f"{error}; {hint}") from None
-        if n > MOST_STEPS:
-            raise InputError(f"steps is {shown(n)}, more than {MOST_STEPS:.0e}; run it in parts")
+        if n > LONGEST:
+            raise InputError(f"steps is {shown(n)}, more than {LONGEST:.0e}; run it in parts")
         if end is None:
             raise InputError("t_end is missing; give it or pass the times as steps")
         return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)
@@ -176,7 +174,7 @@ def check_stability(
         rate = f"step * Lam = {mu * process.Lam:.3g}" if process.coercive else "A is singular"
         effect = "can overshoot into a wrong stuck state" if outside else "rings"
         warn(
-            f"scheme {scheme.name!r} {effect}: {rate}, and from {RESOLVED:g} on its errors change "
+            f"scheme {scheme.name!r} {effect}: {rate}, and from 2 on its errors change "
             "their sign in each step, so that bodies stick that should slip; take scheme='auto' "
             "or implicit-euler, or shorter steps",
             StabilityWarning,

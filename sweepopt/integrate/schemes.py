@@ -125,7 +125,6 @@ SCHEMES = {
 # sdirk2 takes 0.7 of the time where step * Lam <= 2, but of 636 rows at 1e-2 it was above twice the
 # best of implicit-euler, midpoint and sdirk2 in 19, sdirk32 in 3
 AUTOMATIC = replace(SCHEMES["sdirk32"], reason="second order and L-stable, for any step * Lam")
-RESOLVED = 2.0  # x = step * Lam from which midpoint's stability function (2 - x) / (2 + x) is < 0
 
 
 def implicit_euler(steps: int) -> Scheme:

@@ -2,7 +2,7 @@
 
     f(tau) = Re( sum_k a_k (tau / length)^k + sum_j c_j exp(z_j tau) ),   Re z_j <= 0,
 
-on [0, length]: a wave is an exponential of imaginary rate. Exponentials with |z| length <= SLOW are
+on [0, length]: a wave is an exponential of imaginary rate. Exponentials with |z| length <= 1 are
 written as power series: where they cancel powers, no digits are lost.
 
 The first time at which one of several turns negative cannot be missed: a bound M of |f''| on all of
@@ -25,8 +25,7 @@ from sweepopt.errors import SweepoptError
 from sweepopt.linalg import EPS
 from sweepopt.loads import Piece
 
-SLOW = 1.0  # |z| length up to which an exponential is a power series: 1 / z would cancel
-TERMS = 20  # of that series, and 1 / 20! is below rounding
+TERMS = 20  # of the power series where |z| length <= 1, and 1 / 20! is below rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,7 @@ class ExponentialSum:
 
     def extended(self, lam: Array) -> ExponentialSum:
         """The same function, with room for exp(-lam tau): see `decay`."""
-        fast = lam[lam * self.length > SLOW]
+        fast = lam[lam * self.length > 1]
         terms = TERMS if fast.size < lam.size else 0
         powers, exponentials = np.split(self.weights, [self.degree + 1], axis=1)
         more = np.zeros((len(powers), terms)), np.zeros((len(powers), fast.size))
@@ -110,7 +109,7 @@ def histories(pieces: list[Piece], s: float, length: float) -> ExponentialSum:
     that of its rounding, also where the wave is zero.
     """
     rates = {w for piece in pieces for _, w, _ in piece.waves}
-    fast = sorted(w for w in rates if abs(w) * length > SLOW)
+    fast = sorted(w for w in rates if abs(w) * length > 1)
     terms = TERMS + 1 if len(fast) < len(rates) else 1
     terms = max(terms, *(len(piece.polynomial) for piece in pieces))
     weights = np.zeros((len(pieces), terms + len(fast)), dtype=complex)
@@ -131,7 +130,7 @@ def histories(pieces: list[Piece], s: float, length: float) -> ExponentialSum:
 def decay(lam: Array, forces: ExponentialSum) -> ExponentialSum:
     """p with p' + lam p = r, p(0) = 0; one row a mode, r a sum that is `extended` by lam."""
     length, powers = forces.length, forces.degree + 1
-    slow = lam * length <= SLOW
+    slow = lam * length <= 1
     fast, rate = ~slow, lam[~slow]
     r, weights = forces.weights, np.zeros_like(forces.weights)
     waves = slice(powers, weights.shape[1] - rate.size)
