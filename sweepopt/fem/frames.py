@@ -24,8 +24,6 @@ PARALLEL = 1e-6
 SMOOTH = 0.5
 """Sine of the angle between normals below which boundaries are a smooth one: a curved boundary of
 two names is no corner, and a circle has more than twelve facets."""
-NEW_DIRECTION = 0.5
-"""Some axis is at least sqrt(1/3) away from the span of fewer than d directions."""
 
 
 class Frame(NamedTuple):
@@ -89,8 +87,8 @@ def frame_of(body: Discretisation) -> Frame:
         nodes, normals = normals_at(body, names)
         add(nodes, normals)
         normal[nodes] = count[nodes] > fixed[nodes]
-    for axis in np.eye(d):
-        add(np.arange(size), axis, NEW_DIRECTION)
+    for axis in np.eye(d):  # some is sqrt(1/3) away from the span of fewer than d others
+        add(np.arange(size), axis, least=0.5)
     dofs = body.nodes.T  # node, direction
     rows, columns = (np.broadcast_to(x, basis.shape) for x in (dofs[:, None, :], dofs[:, :, None]))
     entries = basis.ravel(), (rows.ravel(), columns.ravel())

@@ -13,7 +13,7 @@ import scipy.sparse.linalg as spla
 from sweepopt.checks import Array, Matrix
 
 EPS = float(np.finfo(float).eps)
-UNIT = 0.5 * EPS  # unit roundoff: the largest relative error of one operation
+UNIT = float(np.finfo(float).epsneg)  # unit roundoff: the largest relative error of one operation
 PIVOT = 16 * EPS  # in units of the diagonal: a smaller pivot of a matrix is none
 
 

@@ -46,6 +46,7 @@ from sweepopt.errors import (
 from sweepopt.linalg import EPS, Factor, kernel, largest_ratio, require_semidefinite
 from sweepopt.problem.motion import Variation, jumps, variation
 from sweepopt.sets import (
+    ROUNDING,
     AnySet,
     ConvexSet,
     Moving,
@@ -60,7 +61,6 @@ from sweepopt.sets import (
 
 Nearest = Callable[[Array, ConvexSet], Array]
 LOOSE = 64 * EPS  # share of a row's entries that assembly rounds in their sum
-PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 NOT_HELD = (
     "A and B let the body move as a whole: A u = B u = 0 for one u other than 0 (their common "
     "kernel), whose size nothing determines. Clamp a part of the body, or of each piece (leave "
@@ -68,7 +68,6 @@ NOT_HELD = (
     "enough, as it leaves the velocity open on its faces: give a little elasticity to an element "
     "without any"
 )
-SHOWN = 5  # jumps that a warning names
 MANY = 1000
 """Unknowns of dense matrices that are worth a warning: steps of 4,000 take 1.7 s, sparse 3 ms."""
 
@@ -398,9 +397,10 @@ class SweepingProcess(Displayed):
         """
         found = [sentence for _, sentence in jumps(self.C, self.metric, start, end)]
         if found:
-            more = f", and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+            rest = len(found) - 5
+            more = f", and {rest} more" if rest > 0 else ""
             warn(
-                f"C(t) jumps {', '.join(found[:SHOWN])}{more}, in the norm of A^-1. The "
+                f"C(t) jumps {', '.join(found[:5])}{more}, in the norm of A^-1. The "
                 "theory asks for a C(t) that moves absolutely continuously; the steps are solved "
                 "all the same, and are most accurate if they end at the jumps",
                 VariationWarning,
@@ -710,5 +710,5 @@ def proportion(A: Matrix, B: Matrix | None) -> float | None:
         return None
     i = int(np.argmax(A.diagonal()))
     rho = float(B[i, i] / A[i, i])
-    difference = abs(B - rho * A) - PROPORTIONAL * rho * abs(A)
+    difference = abs(B - rho * A) - ROUNDING * rho * abs(A)
     return rho if difference.max() <= 0 else None

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 TINY = np.finfo(float).tiny  # 0 / TINY = 0
-STEPS = 100  # of Newton's method, a bound that is not met: each change of regime takes a few
 
 
 class Balls(ConvexSet):
@@ -379,14 +378,13 @@ class Ellipsoid(ConvexSet):
         a = d[real] / np.sqrt(e)
         if a @ a <= 1:
             return 0.0
-        for _ in range(STEPS):
+        step = np.inf
+        while step > 1e-15 * lam:
             falling = 1 + lam / e
             x = a / falling
             square = float(x @ x)
-            step = (np.sqrt(square) - 1) * square / float(x @ (x / e / falling))
-            lam += max(float(step), 0.0)  # a step back is rounding
-            if step <= 1e-15 * lam:
-                break
+            step = float(np.sqrt(square) - 1) * square / float(x @ (x / e / falling))
+            lam += max(step, 0.0)  # a step back is rounding
         return lam
 
     def normal_pair(self, p: Array, w: Array, tau: Array) -> NormalPair | None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import copy
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache, wraps
@@ -37,7 +38,6 @@ from sweepopt.sets.curves import products
 if TYPE_CHECKING:
     import cvxpy as cp
 
-DEEPEST = 50  # each takes up to ten of Python's thousand frames
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a sum of a few products: less is nothing
 RANK = 1e-13  # singular values that are no more than this share of the largest are rounding
@@ -709,9 +709,10 @@ def is_vector(value: Any) -> bool:
 def nested(C: Any, *operands: Any) -> Any:
     """C, made by an operation that asks its operands; refused if it is too deep for Python."""
     C.depth = 1 + max(S.depth for S in operands)
-    if C.depth > DEEPEST:
+    deepest = sys.getrecursionlimit() // 20  # each takes up to ten frames
+    if C.depth > deepest:
         raise InputError(
-            f"more than {DEEPEST} operations on sets are nested; add up the vectors, and multiply "
+            f"more than {deepest} operations on sets are nested; add up the vectors, and multiply "
             "the matrices, before they meet a set"
         )
     return C
