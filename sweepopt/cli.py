@@ -38,10 +38,6 @@ if TYPE_CHECKING:
     from sweepopt.fem import Scene
     from sweepopt.fem.output import Report
 
-DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
-"""Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written; or the
-results are in a temporary folder, as theirs is full."""
-
 STUDY_PROBLEMS = Path(__file__).parent / "study" / "problems.toml"
 """Problems of studies that are no scenes."""
 
@@ -50,6 +46,9 @@ TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"  # of a study
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
+
+    1 if a step missed tol, and what was certified before it is written, or if the results are in a
+    temporary folder, as theirs is full; 2 if it is refused, as by argparse; 130 after Ctrl-C.
 
     Parameters
     ----------
@@ -74,9 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():  # as one line without a source file
             warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
-            code = int(options.command(options))
+            code = options.command(options) or 0
             print(end="", flush=True)
-            return code
+            return int(code)
     except UnstableStepError as error:
         # the rest of its advice is for callers of solve
         _say(f"{str(error).partition(', or say')[0]}; use --steps or --scheme")
@@ -84,15 +83,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _say(str(error))
     except BrokenPipeError:  # the reader has enough, as head; Python shall not flush at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
+        return 0
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         _say(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
         print(file=sys.stderr)
         _say("interrupted; nothing more was written")
-        return INTERRUPTED
-    return REFUSED
+        return 130
+    return 2
 
 
 def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -155,16 +154,15 @@ def _add_changes(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(name, action="append", default=[], metavar=value, help=words)
 
 
-def _list(_: argparse.Namespace) -> int:
+def _list(_: argparse.Namespace) -> None:
     problems = list_scenes()
     width = max(map(len, problems), default=0)
     for name, title in problems.items():
         print(f"{name:<{width}}  {title}".rstrip())
         print(f"{'':<{width}}  effects: {', '.join(read_toml(find_scene(name))['effects'])}")
-    return DONE
 
 
-def _effects(options: argparse.Namespace) -> int:
+def _effects(options: argparse.Namespace) -> None:
     path = _readable(find_scene(options.scene))
     from sweepopt.fem.scene_file import effect_costs, parse_changes
 
@@ -175,10 +173,9 @@ def _effects(options: argparse.Namespace) -> int:
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for row in table:
         print("  ".join(f"{word:>{width}}" for word, width in zip(row, widths, strict=True)))
-    return DONE
 
 
-def _study(options: argparse.Namespace) -> int:
+def _study(options: argparse.Namespace) -> None:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
     path = _readable(find_study(options.study))
     if options.workers is not None:
@@ -217,10 +214,9 @@ def _study(options: argparse.Namespace) -> int:
     title = str(data.get("title", path.stem))
     room.write_report(table, folder / REPORT, solutions=solutions, title=title, **suites)
     print(f"written: {folder}: {', '.join([*files, REPORT])}")
-    return DONE
 
 
-def _compare(options: argparse.Namespace) -> int:
+def _compare(options: argparse.Namespace) -> None:
     """Compare all solvers on the programs of a scene."""
     if options.scene not in read_toml(STUDY_PROBLEMS):
         _readable(find_scene(options.scene))
@@ -232,7 +228,6 @@ def _compare(options: argparse.Namespace) -> int:
     print(comparison_text(table))
     if options.csv is not None:
         table.to_csv(options.csv, index=False)
-    return DONE
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -264,14 +259,14 @@ def _run(options: argparse.Namespace) -> int:
     text = path.read_text(encoding="utf-8")
     text += "".join(f"\n# changed: {change}" for change in scene.changes)
     solution = run_over(process, solving, grid, progress=not options.no_progress)
-    seconds, code = clock.perf_counter() - started, DONE if solution.success else INCOMPLETE
+    seconds, code = clock.perf_counter() - started, int(not solution.success)
     if len(solution.steps):
         report = output.Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
             files = output.write(report, folder, drawn)
         except OSError as error:  # a full disk: the run is not lost if there is another
             _say(f"{folder}: the results cannot be written there ({error.strerror or error})")
-            folder, code = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), INCOMPLETE
+            folder, code = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), 1
             files = output.write(report, folder, drawn)
         _conclude(report, folder, files)
         if norms is not None:
@@ -281,7 +276,7 @@ def _run(options: argparse.Namespace) -> int:
             print(as_lines([("error bound", words)]))
     else:
         _say(f"no step was completed, nothing is written. {solution.message}")
-    return INTERRUPTED if solution.status is Status.INTERRUPTED else code
+    return 130 if solution.status is Status.INTERRUPTED else code
 
 
 def _announce(scene: Scene, plan: Plan) -> None:
