@@ -384,8 +384,7 @@ def nested(
     local = straight.mapping().invF(places, tind=parent[cell])[:, :, 0]
     columns = coarse.element_dofs[:, parent[cell]]
     values = np.array([element.lbasis(local, k)[0] for k in range(coarse.Nbfun)])
-    rows = np.broadcast_to(dofs, columns.shape)
-    entries = values.ravel(), (rows.ravel(), columns.ravel())
+    entries = values.ravel(), (np.tile(dofs, len(columns)), columns.ravel())
     return sp.csr_array(entries, shape=(fine.N, coarse.N))
 
 

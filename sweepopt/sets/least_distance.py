@@ -32,10 +32,9 @@ from scipy.linalg.lapack import dtrtrs
 
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError
-from sweepopt.linalg import EPS, dense, product_error, row_lengths
+from sweepopt.linalg import dense, product_error, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING
 
-PARALLEL = 4 * EPS  # of unit rows: k n is rounded once, and both lengths three times
 EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 
 
@@ -239,7 +238,7 @@ def _multiples(x: Array, y: Array) -> bool:
     return bool(equal.all())
 
 
-def parallel_rows(R: Any, rounding: float = PARALLEL) -> Parallel:
+def parallel_rows(R: Any, rounding: float = ROUNDING) -> Parallel:
     """The pairs among unit rows, dense or sparse; rows of zeros are in none.
 
     They differ by no more than the rounding of a multiple of a row.

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 HULL = 8  # dimensions up to which a hull is computed
-TURNS = 20  # changes of the face, for each vertex
 
 
 class _Face(NamedTuple):
@@ -86,9 +85,9 @@ class Polytope(ConvexSet):
         V, size = self.vertices, max(np.abs(w).max(), np.abs(self.vertices).max()) or 1.0
         system = np.vstack([(V - w).T / size, np.ones(len(V))])
         y = nonnegative_least_squares(system, np.eye(self.dim + 1)[-1]).y
-        active, before = np.flatnonzero(y), np.zeros(0, dtype=int)
+        active, visited = np.flatnonzero(y), set[frozenset[int]]()
         shares = y[active] / y.sum()
-        for _ in range(TURNS * len(V)):
+        while True:
             while True:
                 edges = (V[active[1:]] - V[active[0]]).T
                 rest = np.linalg.lstsq(edges, w - V[active[0]], rcond=None)[0]
@@ -111,10 +110,11 @@ class Polytope(ConvexSet):
             ahead = arms @ p - ROUNDING * (np.abs(arms) @ (np.abs(w) + np.abs(point)))
             ahead[active] = 0.0
             new = int(np.argmax(ahead))
-            # a new one that left at once: only rounding says that it is ahead
-            if not ahead[new] > 0 or set(active) == set(before):
+            # on a face that was left before only rounding says that it is ahead
+            if not ahead[new] > 0 or (face := frozenset(active.tolist())) in visited:
                 break
-            before, active, shares = active, np.append(active, new), np.append(shares, 0.0)
+            visited.add(face)
+            active, shares = np.append(active, new), np.append(shares, 0.0)
         return _Face(V[active], point)
 
     def derivative(self, v: Array) -> Array:

@@ -31,8 +31,7 @@ from sweepopt.sets.shapes import Box
 # Of 600 projections on random composed sets (2 to 12 unknowns, three operations, thin and touching
 # sets, columns of 1e-2 to 1e2) all are exact but one on sets that touch. On the first 150 of them
 # 50 Newton steps, or a growth of 2, end no other way; a growth of 10 gives one up.
-PROXIMAL_POINTS = 20
-NEWTON_STEPS = 25  # from a start, and for a proximal point
+NEWTON_STEPS = 25  # from a start, and for each of as many proximal points
 GROWTH = 4.0  # of the proximal parameter after each
 REGULAR = 1e-3  # multiple of 1 in the Hessian, for a gradient as large as what it adds up
 SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as many
@@ -250,7 +249,7 @@ class Splitting:
         pull = float(np.abs(A.T @ y).max())
         size_s = float(max(np.abs(s).max(), self.rounding_scale(s).max()))
         c = size_s / pull if size_s and pull else 1.0
-        for _ in range(PROXIMAL_POINTS):
+        for _ in range(NEWTON_STEPS):
             y, solved = self._dual_point(A, np.append(v, zero), s, c, y)
             s = self.projected(s + c * (A.T @ y))
             yield Start(s, A.T @ y).scaled(1 / self.units)

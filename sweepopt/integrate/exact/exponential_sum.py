@@ -24,6 +24,7 @@ from sweepopt.checks import Array
 from sweepopt.errors import SweepoptError
 from sweepopt.linalg import EPS
 from sweepopt.loads import Piece
+from sweepopt.sets import ROUNDING
 
 TERMS = 20  # of the power series where |z| length <= 1, and 1 / 20! is below rounding
 
@@ -147,7 +148,6 @@ def decay(lam: Array, forces: ExponentialSum) -> ExponentialSum:
     return forces.with_weights(weights)
 
 
-NOISE = 16 * EPS  # rounding of a value, in units of the sum of its absolute terms
 ITERATIONS = 100_000  # a simple root takes about ten
 TINY = np.sqrt(np.finfo(float).tiny)  # a product with it does not underflow
 
@@ -168,9 +168,9 @@ def first_root(f: ExponentialSum, orders: Array) -> float:
     for _ in range(ITERATIONS):
         b = f.basis(tau)
         value, slope = (f.weights @ b).real, (df.weights @ b).real
-        noise = NOISE * (f.sizes @ np.abs(b))
+        noise = ROUNDING * (f.sizes @ np.abs(b))
         zero = value <= noise
-        falls = zero & (slope <= NOISE * (df.sizes @ np.abs(b)))
+        falls = zero & (slope <= ROUNDING * (df.sizes @ np.abs(b)))
         M = np.maximum(ddf.sizes @ f.bound(tau), TINY)
         height = np.where(zero, 0.0, value)
         root = np.sqrt(slope**2 + 2 * M * height)

@@ -38,7 +38,7 @@ from scipy.linalg import lapack
 from sweepopt.checks import Array, at_path
 from sweepopt.errors import EmptySetError, InputError, SweepoptError, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum
-from sweepopt.linalg import EPS, dense
+from sweepopt.linalg import EPS, NEGLIGIBLE, dense
 from sweepopt.loads import VectorTable
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
 from sweepopt.sets import NoHalfspacesError, facets, parallel_rows, shortest_on
@@ -85,7 +85,6 @@ def _root(SB: Array) -> tuple[Array, Array]:
 
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
-PARALLEL = 1e-14  # unit rows, products here, and their sides that differ by less are equal
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 
 
@@ -229,8 +228,8 @@ def _distinct(R: Array, weights: Array, equations: Array) -> tuple[Array, Array]
 
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
     """
-    pairs = parallel_rows(R, PARALLEL)
-    same = pairs.equal(weights, PARALLEL * np.abs(weights).max(axis=1))
+    pairs = parallel_rows(R, NEGLIGIBLE)
+    same = pairs.equal(weights, NEGLIGIBLE * np.abs(weights).max(axis=1))
     kept, equations = np.ones(len(R), dtype=bool), equations.copy()
     for i, j, sign in zip(*(x[same].tolist() for x in pairs), strict=True):
         if kept[i] and kept[j]:
