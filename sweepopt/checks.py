@@ -438,3 +438,11 @@ def bounded(name: str, value: Matrix, wanted: str, finite: bool = True) -> Matri
     raise InputError(
         f"{label} is {entry:g}, beyond {HUGE:g}: products overflow; choose other units"
     )
+
+
+def require_columns(table: Any, columns: Iterable[str]) -> None:
+    """Refuse what is no table with these columns."""
+    if missing := [name for name in columns if name not in getattr(table, "columns", ())]:
+        raise InputError(
+            f"table lacks the columns {missing}; pass the table of a study, or of compare, as it is"
+        )

@@ -61,8 +61,9 @@ TIMES |= {" s": 1.0, " ms": 1e-3, " \N{MICRO SIGN}s": 1e-6}
 
 def unit_of_time(scene: Scene, end: float) -> tuple[str, float]:
     """The longest unit of time that is no longer than a run of a scene, and its seconds."""
-    fitting = (one for one in TIMES.items() if scene.units == "SI" and one[1] <= end)
-    return next(fitting, (" s" if scene.units == "SI" else "", 1.0))
+    if scene.units != "SI":
+        return "", 1.0
+    return next((one for one in TIMES.items() if one[1] <= end), (" s", 1.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from sweepopt.integrate.field import (
     velocity_field,
 )
 from sweepopt.integrate.grid import (
+    Adaptive,
     check_resolution,
     check_stability,
     divided,
@@ -34,7 +35,7 @@ from sweepopt.integrate.loop import (
     observer,
     progress_bar,
 )
-from sweepopt.integrate.options import Adaptive, SolveOptions
+from sweepopt.integrate.options import SolveOptions
 from sweepopt.integrate.record import (
     ROW,
     Grid,

@@ -25,8 +25,13 @@ import numpy as np
 
 from sweepopt.checks import TIME_SLACK, Array
 from sweepopt.errors import InputError, Status, SweepoptError
-from sweepopt.integrate.grid import PER_PIECE, breakpoints_to_meet, divided, shortest_period
-from sweepopt.integrate.options import Adaptive
+from sweepopt.integrate.grid import (
+    PER_PIECE,
+    Adaptive,
+    breakpoints_to_meet,
+    divided,
+    shortest_period,
+)
 from sweepopt.integrate.record import Pass, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.linalg import EPS

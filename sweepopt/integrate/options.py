@@ -13,13 +13,13 @@ from sweepopt.checks import (
     at_path,
     axes,
     choice,
-    meaning,
     number,
     tolerance,
     vector,
 )
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.grid import (
+    Adaptive,
     contraction,
     evaluation_times,
     meeting_breakpoints,
@@ -29,60 +29,6 @@ from sweepopt.io import decoded, encoded
 from sweepopt.loads import Slope, Table
 from sweepopt.problem import SweepingProcess, histories_of
 from sweepopt.velocity import PATHS, REGISTRY, Plan, make_plan
-
-
-@meaning(
-    rtol="; give tol, the error itself in the units of |u|_A",
-    atol="; give tol, the error in the units of |u|_A",
-    max_step="; give first, the longest step",
-)
-@dataclass(frozen=True)
-class Adaptive:
-    """Steps that are chosen such that max_i |u_i - u(t_i)|_A is at most tol (|.|_B where A = 0).
-
-    Parameters
-    ----------
-    tol : float
-        The global error at the ends of steps, in the units of |u|_A. It is estimated, not proved;
-        within steps, where u is linear, errors can be larger.
-    first : float, optional
-        Longest step, t_end / 16 by default, t_end / 32 where the load is a function. An event of
-        such a load that is shorter than the steps can pass unseen: make `first` as short as it.
-    minimum : float, optional
-        Shortest step, t_end 2^-40 by default.
-
-    Raises
-    ------
-    InputError
-        If a number is not positive, or minimum is longer than first.
-
-    Notes
-    -----
-    C(t) is asked for at any time. Where a function knows it only at multiples of a step, give these
-    times as `steps` of `solve` with a scheme that looks at no others, such as implicit-euler, or
-    give the load as a Table.
-
-    Examples
-    --------
-    >>> import sweepopt as so
-    >>> C = so.Moving(so.Box(-1, 1), center=lambda t: 1.5 * t)
-    >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
-    >>> sol = so.solve(process, t_end=5.0, steps=so.Adaptive(1e-4))
-    >>> sol.passes[-1].error < 1e-4, round(float(sol(5.0)[0]), 3)
-    (True, 3.063)
-    """
-
-    tol: float
-    first: float | None = None
-    minimum: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("tol", "first", "minimum"):
-            value = getattr(self, name)
-            if value is not None or name == "tol":
-                object.__setattr__(self, name, number(name, value, 0.0, strict=True))
-        if self.first is not None and self.minimum is not None and self.minimum > self.first:
-            raise InputError(f"minimum, {self.minimum:g}, is longer than first, {self.first:g}")
 
 
 @dataclass(frozen=True, eq=False)

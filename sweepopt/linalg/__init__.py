@@ -1,8 +1,15 @@
 """Symmetric positive definite matrices: factorised, bounded, and with few unknowns left."""
 
 from sweepopt.linalg.cholesky import InBlocks, factorised
-from sweepopt.linalg.eigenvalues import is_semidefinite, kernel, largest_ratio, require_semidefinite
-from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
+from sweepopt.linalg.eigenvalues import kernel, largest_ratio
+from sweepopt.linalg.factor import (
+    NEGLIGIBLE,
+    Elimination,
+    Factor,
+    factor_bytes,
+    is_semidefinite,
+    require_semidefinite,
+)
 from sweepopt.linalg.matrices import (
     EPS,
     UNIT,

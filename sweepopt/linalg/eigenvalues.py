@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.linalg
@@ -12,13 +12,14 @@ import scipy.sparse.csgraph as csgraph
 import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import IndefiniteError, InputError
+from sweepopt.errors import InputError
 from sweepopt.linalg.definiteness import MARGINS, dominates
-from sweepopt.linalg.factor import Factor
-from sweepopt.linalg.matrices import dense, is_diagonal, is_dominant, lanczos_start
+from sweepopt.linalg.matrices import SEMIDEFINITE, dense, is_diagonal, lanczos_start
 from sweepopt.linalg.twice_precision import product_error
 
-SEMIDEFINITE = 1e-10  # of the diagonal: eigenvalues that rounding may have made of 0
+if TYPE_CHECKING:
+    from sweepopt.linalg.factor import Factor
+
 MOST_COUPLED = 3000  # unknowns of a dense eigenproblem: 70 MB and some seconds
 
 
@@ -87,50 +88,3 @@ def _estimate(A: Factor, B: Matrix, least: float) -> float:
         return max(float(largest), least)
     except spla.ArpackError:  # it does not converge
         return least
-
-
-def is_semidefinite(M: Matrix) -> bool:
-    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units."""
-    diagonal = np.asarray(M.diagonal(), dtype=float)
-    if (diagonal < 0).any():
-        return False
-    # a zero on the diagonal of a semidefinite matrix has a zero row
-    empty = diagonal == 0
-    if abs(M[empty]).sum() > 0:
-        return False
-    shift = np.where(empty, 1.0, SEMIDEFINITE * diagonal)
-    M = M + (sp.diags_array(shift) if sp.issparse(M) else np.diag(shift))
-    if is_dominant(M):
-        return True
-    try:
-        Factor(M)
-    except IndefiniteError:
-        return False
-    return True
-
-
-def require_semidefinite(name: str, M: Matrix) -> None:
-    """Refuse a symmetric matrix that is not positive semidefinite up to rounding.
-
-    Raises
-    ------
-    IndefiniteError
-        Naming a negative entry of the diagonal, or one that is too large beside it, if there is.
-    """
-    if is_semidefinite(M):
-        return
-    diagonal, entry = M.diagonal(), sp.coo_array(M)
-    i, j = entry.coords
-    products = diagonal[i] * diagonal[j]
-    k, least = int(np.argmax(entry.data**2 - products)), int(diagonal.argmin())
-    fault = "it has a negative eigenvalue"
-    if diagonal[least] < 0:
-        fault = f"{name}[{least}, {least}] = {diagonal[least]:g}"
-    elif entry.data[k] ** 2 > products[k]:
-        fault = (
-            f"{name}[{i[k]}, {j[k]}] = {entry.data[k]:g} is larger than the geometric mean "
-            f"{math.sqrt(products[k]):g} of {name}[{i[k]}, {i[k]}] and {name}[{j[k]}, {j[k]}]"
-        )
-    raise IndefiniteError(
-        f"{name} must be positive semidefinite, but {fault}; check the signs of what it is made of"
-    ) from None  # Factor, which is asked first, only says that it failed

@@ -21,10 +21,12 @@ from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 from sweepopt.linalg.definiteness import MARGINS, dominates
 from sweepopt.linalg.matrices import (
     PIVOT,
+    SEMIDEFINITE,
     UNIT,
     Reduced,
     euclidean,
     is_diagonal,
+    is_dominant,
     largest_eigenvalue,
     rounding_weights,
 )
@@ -314,3 +316,50 @@ def _physical_memory() -> float:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):  # not on every system
         return 8e9
+
+
+def is_semidefinite(M: Matrix) -> bool:
+    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units."""
+    diagonal = np.asarray(M.diagonal(), dtype=float)
+    if (diagonal < 0).any():
+        return False
+    # a zero on the diagonal of a semidefinite matrix has a zero row
+    empty = diagonal == 0
+    if abs(M[empty]).sum() > 0:
+        return False
+    shift = np.where(empty, 1.0, SEMIDEFINITE * diagonal)
+    M = M + (sp.diags_array(shift) if sp.issparse(M) else np.diag(shift))
+    if is_dominant(M):
+        return True
+    try:
+        Factor(M)
+    except IndefiniteError:
+        return False
+    return True
+
+
+def require_semidefinite(name: str, M: Matrix) -> None:
+    """Refuse a symmetric matrix that is not positive semidefinite up to rounding.
+
+    Raises
+    ------
+    IndefiniteError
+        Naming a negative entry of the diagonal, or one that is too large beside it, if there is.
+    """
+    if is_semidefinite(M):
+        return
+    diagonal, entry = M.diagonal(), sp.coo_array(M)
+    i, j = entry.coords
+    products = diagonal[i] * diagonal[j]
+    k, least = int(np.argmax(entry.data**2 - products)), int(diagonal.argmin())
+    fault = "it has a negative eigenvalue"
+    if diagonal[least] < 0:
+        fault = f"{name}[{least}, {least}] = {diagonal[least]:g}"
+    elif entry.data[k] ** 2 > products[k]:
+        fault = (
+            f"{name}[{i[k]}, {j[k]}] = {entry.data[k]:g} is larger than the geometric mean "
+            f"{math.sqrt(products[k]):g} of {name}[{i[k]}, {i[k]}] and {name}[{j[k]}, {j[k]}]"
+        )
+    raise IndefiniteError(
+        f"{name} must be positive semidefinite, but {fault}; check the signs of what it is made of"
+    ) from None  # Factor, which is asked first, only says that it failed

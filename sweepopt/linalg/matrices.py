@@ -15,6 +15,7 @@ from sweepopt.checks import Array, Matrix
 EPS = float(np.finfo(float).eps)
 UNIT = float(np.finfo(float).epsneg)  # unit roundoff: the largest relative error of one operation
 PIVOT = 16 * EPS  # in units of the diagonal: a smaller pivot of a matrix is none
+SEMIDEFINITE = 1e-10  # of the diagonal: eigenvalues that rounding may have made of 0
 
 
 class Reduced(NamedTuple):

@@ -16,4 +16,4 @@ from sweepopt.results.dataset import (
     write_dataset,
 )
 from sweepopt.results.error_bound import ErrorBound, require_bound
-from sweepopt.results.solution import Energy, Pass, Solution
+from sweepopt.results.solution import Energy, Pass, Solution, guaranteed_bound

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
@@ -734,3 +736,12 @@ def _read_run(path: str | PathLike[str]) -> tuple[dict[str, Any], dict[str, Arra
             "with sol.save or save="
         )
     return known, data
+
+
+def guaranteed_bound(solution: Solution) -> Any:
+    """The `ErrorBound` of a run; nan if there is none, or only samples of C(t) are known."""
+    with suppress(SweepoptError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", BoundWarning)
+        bound = solution.error_bound()
+        return bound if bound.guaranteed else np.nan
+    return np.nan

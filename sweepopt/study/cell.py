@@ -11,7 +11,6 @@ import platform
 import re
 import time as clock
 import warnings
-from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache, lru_cache, partial
 from math import inf, nan
@@ -23,15 +22,14 @@ from threadpoolctl import threadpool_limits
 
 from sweepopt.checks import Array
 from sweepopt.driver import solve
-from sweepopt.errors import BoundWarning, InputError, SweepoptError, SweepoptWarning
+from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.io import versions_of
 from sweepopt.problem import SweepingProcess
-from sweepopt.results import Solution
+from sweepopt.results import Solution, guaranteed_bound
 from sweepopt.study.problems import Source, from_coarser, open_source
 
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
-TOL = 1e-8  # of the fine run's programs: a hundredth of the default of a study
 
 
 class Cell(NamedTuple):
@@ -191,9 +189,9 @@ def reference_states(
         exact = run(steps=steps * REFINED // save, scheme="exact")
         if exact.success:
             return Reference(exact.u, 0.0)
-    how: Any = {"tol": TOL, "on_unstable": "ignore"}
-    fine = run(steps=steps * REFINED, save=save, **how).u
-    coarse = run(steps=steps * REFINED // 2, save=max(save // 2, 1), **how).u
+    run = partial(run, tol=1e-8, on_unstable="ignore")  # a hundredth of the default of a study
+    fine = run(steps=steps * REFINED, save=save).u
+    coarse = run(steps=steps * REFINED // 2, save=max(save // 2, 1)).u
     return Reference(fine, largest_norm(process, fine[:: 2 // min(save, 2)] - coarse))
 
 
@@ -276,15 +274,6 @@ def _measure(cell: Cell, finest: Source) -> CellRow:
     )
 
 
-def guaranteed_bound(solution: Solution) -> float:
-    """The `ErrorBound`; nan if there is none, or only samples of C(t) are known."""
-    with suppress(SweepoptError), warnings.catch_warnings():
-        warnings.simplefilter("ignore", BoundWarning)
-        bound = solution.error_bound()
-        return bound if bound.guaranteed else nan
-    return nan
-
-
 # ---- what computes ----
 
 
@@ -304,9 +293,3 @@ def machine() -> str:
     packages = ", ".join(map(" ".join, versions_of().items()))
     system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
     return f"{name}, {system}; {packages}"
-
-
-def require(table: Any, columns: Iterable[str] = CellRow._fields, of: str = "a study") -> None:
-    """Refuse what is no such table."""
-    if missing := [name for name in columns if name not in getattr(table, "columns", ())]:
-        raise InputError(f"table lacks the columns {missing}; pass the table of {of} as it is")

@@ -19,12 +19,11 @@ import numpy as np
 from pandas import DataFrame, concat
 from threadpoolctl import threadpool_limits
 
-from sweepopt.checks import Array, count
+from sweepopt.checks import Array, count, require_columns
 from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
-from sweepopt.study.cell import require
 from sweepopt.study.problems import Source, find_source, open_source
 from sweepopt.velocity import (
     DAQP,
@@ -196,7 +195,7 @@ def shifted_mean(seconds: Any, shift: float = 1e-3) -> float:
 
 def comparison_text(table: DataFrame) -> str:
     """The comparison as text."""
-    require(table, ("time", "ratio", "programs", "message"), "compare")
+    require_columns(table, ("time", "ratio", "programs", "message"))
     names = {"time": "ms", "ratio": "x best", "certificate": "median", "message": ""}
     shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
     shown = shown.drop(columns="programs").rename(columns=names)

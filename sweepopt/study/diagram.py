@@ -13,16 +13,13 @@ from typing import Any
 import numpy as np
 from pandas import DataFrame, Series, concat
 
-from sweepopt.checks import choice
+from sweepopt.checks import choice, require_columns
 from sweepopt.display import COLOURS
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
-from sweepopt.results import ErrorBound, Solution
-from sweepopt.study.cell import guaranteed_bound, require
+from sweepopt.results import ErrorBound, Solution, guaranteed_bound
 from sweepopt.study.problems import body_name
 
-COLUMNS = 3
-"""Panels side by side."""
 ERROR = "largest error over the steps"
 MARKERS = "osDP^v"
 COSTS = {
@@ -87,7 +84,8 @@ def points(table: DataFrame, x: str) -> DataFrame:
         As `work_precision`.
     """
     choice("x", x, COSTS)
-    require(table)
+    columns = "problem refinements element scheme solver steps tol success error bound"
+    require_columns(table, [*columns.split(), x])
     if not len(table):
         raise InputError("table has no rows; run the study first")
     known = table.success & np.isfinite(table.error)
@@ -131,9 +129,14 @@ def trajectories(solutions: Mapping[str, Solution]) -> Any:
     return ax
 
 
+def lines_and_columns(panels: int) -> tuple[int, int]:
+    """Up to three panels side by side."""
+    return -(-panels // 3), min(panels, 3)
+
+
 def panels(names: Sequence[str]) -> dict[str, Any]:
     """Axes of a new figure by their titles, side by side."""
-    columns, lines = min(len(names), COLUMNS), -(-len(names) // COLUMNS)
+    lines, columns = lines_and_columns(len(names))
     figure = new_figure((4.4 * columns + 1.8, 4.0 * lines))
     axes = {}
     for k, name in enumerate(names, start=1):

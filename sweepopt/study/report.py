@@ -15,22 +15,24 @@ from datetime import UTC, datetime
 from inspect import getdoc
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pandas import DataFrame, Series, concat
 from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
-from sweepopt.checks import choice
+from sweepopt.checks import choice, require_columns
 from sweepopt.errors import InputError, Status, SweepoptWarning
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
-from sweepopt.study.cell import machine, require, solution_of
+from sweepopt.study.cell import CellRow, machine, solution_of
 from sweepopt.study.comparison import FORMAT
-from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
+from sweepopt.study.diagram import COSTS, ERROR, LOOK, lines_and_columns, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
-from sweepopt.study.study import Study
+
+if TYPE_CHECKING:
+    from sweepopt.study.study import Study
 
 TARGETS = (1e-2, 1e-4, 1e-6)
 AXES = {
@@ -59,7 +61,7 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
         A row a problem and target, with the columns of the run and its target; a target
         that no run meets has no row.
     """
-    require(table)
+    require_columns(table, CellRow._fields)
     known = table[table.success & table.error.notna()].sort_values("wall", kind="stable")
     chosen = [
         known[known.error <= target * known["size"]]
@@ -70,7 +72,7 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     return concat(chosen, ignore_index=True)
 
 
-def fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
+def fastest_runs(study: "Study", table: DataFrame) -> dict[str, Solution]:
     """The fastest run of each problem that meets the first target, solved again.
 
     Its relative error is so large that its band can be seen.
@@ -105,7 +107,7 @@ def halving(table: DataFrame) -> DataFrame:
         for example: the factor of the time, inf where the error hardly falls, nan where no next
         run was measured; and `cheapest`, the axis of the least factor, "" if all are above 100.
     """
-    require(table)
+    require_columns(table, CellRow._fields)
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
     factors = {}
     for words, (axis, smaller) in AXES.items():
@@ -280,11 +282,11 @@ def _diagram(table: DataFrame, cost: str) -> str:
     """What `work_precision` draws, with a legend that filters and a tooltip a cell."""
     places = points(table, cost)
     names = places.panel.unique().tolist()
-    rows, columns = -(-len(names) // COLUMNS), min(len(names), COLUMNS)
+    rows, columns = lines_and_columns(len(names))
     figure = make_subplots(rows, columns, subplot_titles=names, horizontal_spacing=0.06)
     labels: set[str] = set()
     for (panel, label, marker, line, colour, _), cells in places.groupby(LOOK, sort=False):
-        row, column = divmod(names.index(panel), COLUMNS)
+        row, column = divmod(names.index(panel), columns)
         figure.add_scatter(
             x=cells.x,
             y=cells.y,

@@ -285,9 +285,8 @@ def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
 
 
 def _solver(name: str, value: Any) -> Any:
-    through_cvxpy = str(value).startswith("cvxpy:")
-    names = "auto", *solvers.REGISTRY, value if through_cvxpy else "cvxpy:NAME"
-    return choice(name, value, names)
+    cvxpy = value if str(value).startswith("cvxpy:") else "cvxpy:NAME"
+    return choice(name, value, ("auto", *solvers.REGISTRY, cvxpy))
 
 
 # ---- who computes: processes or a dask cluster, which have submit(function, *arguments) -> Future

@@ -15,9 +15,9 @@ from sweepopt.loads import Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
-from sweepopt.study.cell import REFINED, TOL, largest_norm, reference_states
+from sweepopt.study.cell import REFINED, largest_norm, reference_states
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.suite import Judgement, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, run_case
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 
@@ -153,7 +153,7 @@ def _ratio(x: float, y: float) -> float:
 
 def _judge(row: StiffRow, process: SweepingProcess, bounds: bool) -> Any:
     """The row with what a run of a process on [0, 1] is worth."""
-    how: Any = {"t_end": 1.0, "steps": row.steps, "tol": TOL, "on_unstable": "ignore"}
+    how: Any = {"t_end": 1.0, "steps": row.steps, "tol": TARGET, "on_unstable": "ignore"}
 
     def compare(sol: Solution, _: bool) -> Judgement:
         reference = reference_states(process, 1.0, row.steps, 1)

@@ -27,9 +27,8 @@ from sweepopt.io import read_toml
 from sweepopt.linalg import EPS
 from sweepopt.loads import Constant, Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
-from sweepopt.results import Solution
+from sweepopt.results import Solution, guaranteed_bound
 from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
-from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.exact import ROUNDING
 from sweepopt.study.hard.suite import TARGET, Judgement, run_case
