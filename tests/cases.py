@@ -29,6 +29,24 @@ class Spiral:
         return np.empty(0)
 
 
+SQUARE = so.Box([-1.0, -1.0], [1.0, 1.0])
+
+
+def springs(n):
+    """Springs of stiffness 1 in a row of n masses, held at both ends."""
+    return 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+
+
+def worst_certificate(sol):
+    """The largest relative one of all steps."""
+    return sol.stats["relative"].max()
+
+
+def refuses(words):
+    """Bad input gets an InputError with these words, a regular expression."""
+    return pytest.raises(so.InputError, match=words)
+
+
 def block(load, A=0.5, B=2.0, u0=0.0):
     """One unknown in the interval of half width 1 around a load."""
     return so.SweepingProcess(A, B, so.Moving(so.Box(-1, 1), load), u0)
@@ -123,7 +141,7 @@ def random_process(seed, rate_independent=None, polyhedral=False, whole=False):
     if rate_independent is None:
         rate_independent = random.random() < 0.4
     if whole:
-        chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+        chain = springs(n)
         A, B = (random.integers(0, 2) * chain + np.eye(n), random.integers(0, 3) * chain)
     else:
         A = random_matrix(random, n)

@@ -104,9 +104,9 @@ def direction(rng, dim):
     return np.where(rng.random(dim) < 0.2, 0.0, z) if rng.random() < 0.3 else z
 
 
-def far_and_near(rng, dim):
-    """A random point at a random distance."""
-    return 10.0 ** rng.uniform(-1, 1.5) * rng.normal(size=dim)
+def far_and_near(rng, C):
+    """A random point of the space of C at a random distance."""
+    return 10.0 ** rng.uniform(-1, 1.5) * rng.normal(size=C.dim)
 
 
 # ---- shapes -----------------------------------------------------------------------------------
@@ -560,7 +560,7 @@ def close(a, b, tol, unit=1.0):
 
 def normals(s, rng):
     """A direction in which the support function is finite: a normal of the set."""
-    return s.C.normal(far_and_near(rng, s.C.dim))
+    return s.C.normal(far_and_near(rng, s.C))
 
 
 def support_is_sublinear(entry, s, rng):
@@ -621,7 +621,7 @@ def features_are_linear_in_the_offsets(entry, s, rng):
 
 
 def projection_is_the_nearest_point(entry, s, rng):
-    v, w = far_and_near(rng, s.C.dim), far_and_near(rng, s.C.dim)
+    v, w = far_and_near(rng, s.C), far_and_near(rng, s.C)
     Pv, Pw = s.C.project(v), s.C.project(w)
     unit = size(v, w, s.C.offsets)
     close(s.C.project(Pw), Pw, entry.edge_tol, unit)
@@ -639,7 +639,7 @@ def projection_is_the_nearest_point(entry, s, rng):
 
 def normal_and_projection_make_a_pair(entry, s, rng):
     """Moreau: v = P_C(v) + p with p in N_C, that is sigma(C, p) = <p, P_C(v)>."""
-    v = far_and_near(rng, s.C.dim)
+    v = far_and_near(rng, s.C)
     w, p = s.C.project(v), s.C.normal(v)
     unit = size(v, s.C.offsets)
     close(w + p, v, 1e-14, unit)
@@ -647,7 +647,7 @@ def normal_and_projection_make_a_pair(entry, s, rng):
 
 
 def a_point_of_the_set_stays_where_it_is(entry, s, rng):
-    inside = np.mean([s.C.project(far_and_near(rng, s.C.dim)) for _ in range(4)], axis=0)
+    inside = np.mean([s.C.project(far_and_near(rng, s.C)) for _ in range(4)], axis=0)
     unit = size(inside, s.C.offsets)
     close(s.C.project(inside), inside, entry.tol, unit)
     close(s.C.normal(inside), 0.0, entry.tol, unit)
@@ -656,7 +656,7 @@ def a_point_of_the_set_stays_where_it_is(entry, s, rng):
 def cone_and_polar_split_every_vector(entry, s, rng):
     if not entry.cone:
         return
-    v = far_and_near(rng, s.C.dim)
+    v = far_and_near(rng, s.C)
     polar = s.C.polar()
     w, p = s.C.project(v), polar.project(v)
     tol, zero = max(1e-13, entry.edge_tol), 0.0 if entry.support_tol <= 1e-12 else entry.support_tol
@@ -685,7 +685,7 @@ def translation_adds_to_support_and_projection(entry, s, rng):
 
 
 def scaling_scales(entry, s, rng):
-    w, z = far_and_near(rng, s.C.dim), normals(s, rng)
+    w, z = far_and_near(rng, s.C), normals(s, rng)
     unit = size(w, z, s.C.offsets) ** 2
     ratio = rng.choice([0.5, 3.0])
     support, nearest, magnitude = s.C.support(z), s.C.project(w), s.C.magnitude()
@@ -723,7 +723,7 @@ def supports_add_in_sums_and_products(entry, s, rng):
 
 
 def intersection_with_a_large_ball_changes_nothing(entry, s, rng):
-    v = far_and_near(rng, s.C.dim)
+    v = far_and_near(rng, s.C)
     w = s.C.project(v)
     truncated = s.C & so.Ball(np.zeros(s.C.dim), 2 * np.linalg.norm(w) + 1)
     unit = size(v, w, s.C.offsets)
@@ -736,7 +736,7 @@ def intersection_with_a_large_ball_changes_nothing(entry, s, rng):
 def support_is_lipschitz_in_hausdorff_distance(entry, s, rng):
     """Adly and Haddad, Lemma 2.1; d_H(C, C + v) = |v| and d_H(C, C + Ball(0, r)) = r."""
     C, v, r = s.C, rng.normal(size=s.C.dim), rng.random()
-    z, x = normals(s, rng), far_and_near(rng, s.C.dim)
+    z, x = normals(s, rng), far_and_near(rng, s.C)
     unit = size(z, x, C.offsets)
     tol = entry.support_tol * unit**2
     for D, distance in ((C + v, np.linalg.norm(v)), (C + so.Ball(np.zeros(C.dim), r), r)):
@@ -755,7 +755,7 @@ def truncated_sets_are_at_most_eight_times_as_far_apart(entry, s, rng):
         R = (2 + rng.random()) * max(map(np.linalg.norm, nearest)) + rng.random() * distance
         one, two = (E & so.Ball(np.zeros(C.dim), R) for E in (C, D))
         for first, second in ((one, two), (two, one)):
-            x = first.project(far_and_near(rng, C.dim))
+            x = first.project(far_and_near(rng, C))
             apart = np.linalg.norm(second.project(x) - x)
             assert apart <= 8 * distance + 10 * max(entry.tol, 1e-7) * size(x, C.offsets)
 
@@ -778,14 +778,14 @@ def distance_bound_bounds_the_hausdorff_distance(entry, s, rng):
         unit = size(z) * size(C.offsets, D.offsets)
         if one != two:
             assert abs(one - two) <= np.linalg.norm(z) * bound + 2 * entry.support_tol * unit
-    w = far_and_near(rng, C.dim)
+    w = far_and_near(rng, C)
     near = [np.linalg.norm(w - E.project(w)) for E in (C, D)]
     assert abs(near[0] - near[1]) <= bound + 10 * entry.edge_tol * size(w, C.offsets, D.offsets)
 
 
 def derivative_is_the_slope_of_the_projection(entry, s, rng):
     """Where the slopes ahead and behind agree (the projection is smooth there)."""
-    v, e = far_and_near(rng, s.C.dim), rng.normal(size=s.C.dim)
+    v, e = far_and_near(rng, s.C), rng.normal(size=s.C.dim)
     blocks = s.C.blocks(v)
     if blocks is None:
         return
@@ -807,7 +807,7 @@ def rows_are_the_set(entry, s, rng):
     if isinstance(shape_of(s.C), so.Polytope):  # its facets are rounded
         return
     G, h = np.vstack([dense(N), E, -E]), np.concatenate([d, e, -e])
-    for v in (far_and_near(rng, s.C.dim), s.C.project(far_and_near(rng, s.C.dim))):
+    for v in (far_and_near(rng, s.C), s.C.project(far_and_near(rng, s.C))):
         w = s.C.project(v)
         slack, rounding = h - G @ v, entry.tol * size(v, h) * (1 + abs(G).sum(axis=1))
         assert (G @ w <= h + rounding).all()
@@ -821,7 +821,7 @@ def magnitude_bounds_the_set(entry, s, rng):
     bound = s.C.magnitude()
     assert np.isfinite(bound) == entry.bounded
     for _ in range(3):
-        w = s.C.project(far_and_near(rng, s.C.dim))
+        w = s.C.project(far_and_near(rng, s.C))
         assert np.linalg.norm(w) <= bound + entry.tol * size(w) + 1e-7 * bound
 
 
@@ -840,7 +840,7 @@ def descriptions_are_consistent(entry, s, rng):
 
 def normal_pair_is_proven_near_any_guess(entry, s, rng):
     C = s.C
-    p, w = rng.normal(size=C.dim), far_and_near(rng, C.dim)
+    p, w = rng.normal(size=C.dim), far_and_near(rng, C)
     tau = 10.0 ** rng.uniform(-1, 1, size=C.dim)
     found = C.normal_pair(p, w, tau)
     if not C.certifiable:
@@ -860,7 +860,7 @@ def normal_pair_error_is_as_small_as_the_perturbation(entry, s, rng):
     C, tau = s.C, float(10.0 ** rng.uniform(-0.5, 0.5))
     if not C.certifiable:
         return
-    v = far_and_near(rng, C.dim)
+    v = far_and_near(rng, C)
     w, p = C.project(v), C.normal(v) / tau
     unit = size(v, C.offsets)
     for delta in (1e-4, 1e-6, 0.0):
@@ -873,7 +873,7 @@ def normal_pair_error_is_as_small_as_the_perturbation(entry, s, rng):
 
 
 def gap_is_what_a_pair_misses(entry, s, rng):
-    p, w = normals(s, rng), s.C.project(far_and_near(rng, s.C.dim))
+    p, w = normals(s, rng), s.C.project(far_and_near(rng, s.C))
     unit = size(w, s.C.offsets) * size(p)
     gap = s.C.gap(p, w)
     assert gap >= 0
@@ -883,9 +883,9 @@ def gap_is_what_a_pair_misses(entry, s, rng):
 def gap_along_a_curve_bounds_the_gap_between_samples_too(entry, s, rng):
     C = s.C
     p = np.array([normals(s, rng) for _ in range(3)])
-    w = np.array([C.project(far_and_near(rng, C.dim)) for _ in range(4)])
+    w = np.array([C.project(far_and_near(rng, C)) for _ in range(4)])
     if rng.random() < 0.5:  # a curve that goes round a corner little by little
-        v = far_and_near(rng, C.dim) + 0.1 * rng.normal(size=(4, C.dim))
+        v = far_and_near(rng, C) + 0.1 * rng.normal(size=(4, C.dim))
         w, p = np.array([C.project(x) for x in v]), np.array([C.normal(x) for x in v[[0, 1, 3]]])
     nodes, weights = np.polynomial.legendre.leggauss(16)
     theta = 0.5 + 0.5 * nodes

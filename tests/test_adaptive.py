@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import tqdm.auto
-from cases import block, slow
+from cases import block, refuses, slow, springs
 from reference_cases import SETS, case
 
 import sweepopt as so
@@ -332,11 +332,11 @@ def test_what_limits_the_steps_is_named_where_they_are_too_many():
         process = block(history, 1.0, stiffness)
         return so.solve(process, t_end=8.0, on_unstable="ignore", **how)
 
-    with pytest.raises(so.InputError, match="have a period of 1e-06 and need 6 steps in each"):
+    with refuses("have a period of 1e-06 and need 6 steps in each"):
         solve(so.Sine(3.0, 1e-6), steps=so.Adaptive(1e-3))
-    with pytest.raises(so.InputError, match=r"catching-up is stable up to about 1e-06"):
+    with refuses(r"catching-up is stable up to about 1e-06"):
         solve(so.Sine(3.0, 4.0), 1e6, steps=so.Adaptive(1e-3), scheme="catching-up")
-    with pytest.raises(so.InputError, match="make first longer"):
+    with refuses("make first longer"):
         solve(so.Sine(3.0, 4.0), steps=so.Adaptive(1e-3, first=1e-6))
     # a wave without amplitude needs no steps
     assert solve(so.Sine(0.0, 1e-6), steps=so.Adaptive(1e-3)).success
@@ -366,7 +366,7 @@ def test_a_jump_of_the_load_that_needs_too_short_steps_is_told_with_its_time():
 def test_of_a_body_whose_contact_alone_moves_nothing_else_enters_a_step():
     load = so.Separable([(so.Sine(3.0, 3.0), np.ones(6))])
     D = so.image(np.eye(6)[:, 4:], so.Box([-0.5, -0.5], [0.5, 0.5]))
-    A = 2 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1)
+    A = springs(6)
     vi = so.EvolutionVI(A, 2 * A, load=load, dissipation=D, u0=np.zeros(6))
     sol = so.solve(vi, t_end=2.0, steps=so.Adaptive(1e-3))
     assert sol.plan.path == "proportional"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import skfem
-from cases import close_bound
+from cases import close_bound, refuses, worst_certificate
 from meshes import at_rest, end_of, run_of, slips, square
 from numpy.testing import assert_allclose, assert_array_equal
 from test_fem import order
@@ -108,7 +108,7 @@ def test_a_sheet_creeps_as_a_solid_with_free_faces_and_laws_that_would_not_are_r
         r"\[2\]\.on: .* viscosity": [*MATERIAL, Plasticity(0.5, Hk=1.0)],
     }
     for message, effects in others.items():
-        with pytest.raises(so.InputError, match=message):
+        with refuses(message):
             body(space("plane stress"), [*effects, pull])
         body(space("solid"), [*effects, pull])
 
@@ -121,7 +121,7 @@ def test_shear_stress_is_that_of_the_traction_and_none_where_strains_do_not_tell
     for other in (YieldStress(0.1), Viscosity(tensor=np.eye(2))):
         scene, run = run_of(section, [*effects, other])
         assert scene.stress(run) is None
-    with pytest.raises(so.InputError, match=r"stress needs a body .* whose strains tell"):
+    with refuses(r"stress needs a body .* whose strains tell"):
         scene.plot(run, "stress")
 
 
@@ -183,7 +183,7 @@ def test_a_sheet_on_an_orbiting_table_turns_with_the_exact_radius(element, grids
         scene = body(plate, [*effects, turning], u0=u0)
         assert len(scene.contact) == (12 if element == "P1" else 23)
         sol = scene.solve(t_end=2 * np.pi / omega, steps=steps, scheme="midpoint")
-        assert sol.stats["relative"].max() < 1e-6
+        assert worst_certificate(sol) < 1e-6
         errors.append(np.abs(plate.expand(sol.u[-1]) - start).max())
     assert errors[-1] < 1e-3 * (64 / grids[-1]) ** 2
     assert np.all(order(errors) > 1.9)
@@ -478,9 +478,9 @@ def test_two_prescribed_displacements_add_on_one_boundary_and_are_refused_where_
     assert_allclose(end[left], up + 2.0, rtol=1e-14)
     end = end_of(both, [*MATERIAL, moved("left", "1 + y")])
     assert_allclose(end[left], up, rtol=1e-14)  # what is clamped beside it gives way
-    with pytest.raises(so.InputError, match=r"effects\[2\].on: left shares nodes with bottom"):
+    with refuses(r"effects\[2\].on: left shares nodes with bottom"):
         body(both, [*MATERIAL, moved("left", "1 + y"), moved("bottom", 1.0)])
-    with pytest.raises(so.InputError, match="d: two of left, bottom share nodes and move them"):
+    with refuses("d: two of left, bottom share nodes and move them"):
         body(both, [*MATERIAL, moved(["left", "bottom"], {"left": 1.0, "bottom": 0.0})])
     sheet = Discretisation(square(2), "left", kind="plane strain")
     end = end_of(sheet, [*MATERIAL, moved("left", ["-y", "x"]), moved("left", [1.0, 2.0])])
@@ -535,7 +535,7 @@ def test_two_frictions_at_an_oblique_corner_leave_the_other_unknowns_eliminated(
     block = Discretisation(mesh, "left", kind="plane strain")
     scene, run = run_of(block, [*MATERIAL, *rub, pull], scheme="auto", tol=1e-9)
     assert run.plan.eliminated == scene.problem.dim - 17
-    assert run.stats["relative"].max() <= 1e-9
+    assert worst_certificate(run) <= 1e-9
 
 
 @pytest.mark.parametrize("points", [None, ["x + 0.3 * y", "y + 0.2 * x + 0.1 * z", "z + 0.3 * x"]])
@@ -560,7 +560,7 @@ def test_each_friction_has_its_own_tangents_where_walls_meet(held, points):
     assert seen == {"front": 9, "right": 3, "top": 3}
     pull = Traction("left", Constant(), [3.0, 2.0, -1.0])
     _, run = run_of(block, [*MATERIAL, *rub, pull], scheme="auto", steps=1)
-    assert run.stats["relative"].max() <= 1e-6
+    assert worst_certificate(run) <= 1e-6
 
 
 def test_no_traction_is_told_where_frictions_along_other_tangents_share_a_node():
@@ -584,7 +584,7 @@ def test_a_ram_does_not_take_a_body_off_the_wall_that_it_slides_on():
         along = [0.1, lambda x, slope=slope: 0.1 * slope * (x[1] == 0.0)]
         end = end_of(die, [*MATERIAL, moved("left", along)])
         assert_allclose(end[corner], [0.1, 0.1 * slope], rtol=1e-14)
-    with pytest.raises(so.InputError, match="on: left shares nodes with bottom, which is held"):
+    with refuses("on: left shares nodes with bottom, which is held"):
         body(die, [*MATERIAL, moved("left", [0.1, 0.0])])
 
 
@@ -630,7 +630,7 @@ def test_a_viscous_body_is_not_moved_beyond_the_end_of_its_table(scheme):
     effects = [Viscosity(1.0), moved("bottom", 1.0)]
     scene = antiplane(square(2), clamped="bottom", effects=effects)
     assert scene.solve(t_end=1.0, steps=5, scheme=scheme).success
-    with pytest.raises(so.InputError, match="outside the table, which covers"):
+    with refuses("outside the table, which covers"):
         scene.solve(t_end=2.0, steps=5, scheme=scheme)
 
 
@@ -646,11 +646,11 @@ def test_a_free_block_expands_without_stress_when_it_is_heated(kind):
         (MATERIAL, replace(heat, nu=0.2)),
         (small, replace(heat, E=2e-9)),
     ):
-        with pytest.raises(so.InputError, match=r"effects\[2\].E: the elasticity .* other moduli"):
+        with refuses(r"effects\[2\].E: the elasticity .* other moduli"):
             body(block, [*given, other])
         body(block, [*given, replace(other, strain=0.0)])
     oak = Elasticity(tensor=np.diag([3.0, 2.0, 1.0, 1.0, 1.0, 1.0][: 6 if kind == "solid" else 3]))
-    with pytest.raises(so.InputError, match="E: an eigenstrain beside an elasticity with a tensor"):
+    with refuses("E: an eigenstrain beside an elasticity with a tensor"):
         body(block, [MATERIAL[0], oak, heat])
 
 
@@ -778,7 +778,7 @@ def test_a_boundary_with_the_name_of_a_subdomain_is_pulled_and_held_as_any_other
     assert np.array_equal(one, other)
     ends = [Discretisation(one, ["left", "right"]) for one in (mesh, both)]
     assert np.array_equal(*(body(one, effects[::2]).lifts[0][1] for one in ends))
-    with pytest.raises(so.InputError, match="on: 'right' is a boundary and a subdomain"):
+    with refuses("on: 'right' is a boundary and a subdomain"):
         body(ends[1], [Viscosity(1.0), Friction("right", g=1.0)])
 
 

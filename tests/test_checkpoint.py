@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from cases import block, slow
+from cases import SQUARE, block, refuses, slow
 from processes import started
 from test_reduction import process as chain
 
@@ -61,7 +61,7 @@ def pipe():
 def stiff(k):
     """Two blocks tied by a spring k, which move as one: A is lost in A + mu B for mu k > 1e15."""
     B = k * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    C = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable([(so.Sine(3.0, 6.0), [1.0, 1.0])]))
+    C = so.Moving(SQUARE, so.Separable([(so.Sine(3.0, 6.0), [1.0, 1.0])]))
     return so.SweepingProcess(np.eye(2), B, C, [0.0, 0.0])
 
 
@@ -186,7 +186,7 @@ def test_what_a_function_recorded_comes_back(tmp_path):
     whole = so.solve(process, save=record, **settings)
     path = tmp_path / "run.npz"
     killed(path, save=record)
-    with pytest.raises(so.InputError, match="needs function"):
+    with refuses("needs function"):
         so.resume(path, process)
     resumed = so.resume(path, process, save=record)
     assert repr(resumed.recorded) == repr(whole.recorded)
@@ -201,7 +201,7 @@ def test_what_a_function_recorded_comes_back(tmp_path):
 def test_records_that_no_file_can_hold_are_refused_at_the_first_step(bad, tmp_path):
     process, settings = arguments("proportional")
     where, seen = so.Checkpoint(tmp_path / "run.npz", steps=50), []
-    with pytest.raises(so.InputError, match="numbers or arrays"):
+    with refuses("numbers or arrays"):
         so.solve(
             process,
             checkpoint=where,
@@ -239,7 +239,7 @@ def test_a_run_that_is_killed_loses_nothing(name, times, steps, alive, tmp_path)
             if k:
                 time.sleep(moments.uniform(0.0, 1.2))
             else:
-                with pytest.raises(so.InputError, match=r"npz is being written by another run"):
+                with refuses(r"npz is being written by another run"):
                     so.resume(path, process)
         alive -= child.returncode != 0
         assert same(so.resume(path, process), whole), f"{name}, killed at moment {k}"
@@ -262,9 +262,9 @@ def test_a_checkpoint_of_another_problem_is_refused_and_says_what_differs(tmp_pa
         ("balls", "process must be"),
     ]
     for other, message in others:
-        with pytest.raises(so.InputError, match=message):
+        with refuses(message):
             so.resume(path, other)
-    with pytest.raises(so.InputError, match="had no function"):
+    with refuses("had no function"):
         so.resume(path, ours, save=lambda t, u, z: t)
     assert so.resume(path, ours).success
 
@@ -299,7 +299,7 @@ def test_a_load_that_differs_late_or_between_the_times_that_are_compared_is_anot
         how = {"t_end": 4.0, "steps": 80, "callback": stopping(5)}
         with pytest.raises(Killed):
             so.solve(block(load(3.0)), checkpoint=path, **how)
-        with pytest.raises(so.InputError, match=r"C\(t\) differs"):
+        with refuses(r"C\(t\) differs"):
             so.resume(path, block(load(3.1)))
         assert so.resume(path, block(load(3.0))).success
 
@@ -328,10 +328,10 @@ def test_another_form_other_versions_and_states_that_do_not_fit_are_noticed(
     assert told[0].filename == __file__
     rewritten(path, lambda record, _: record["versions"].update(numpy=np.__version__))
     rewritten(path, lambda record, _: record.update(plan="another"))
-    with pytest.raises(so.InputError, match="planned differently"):
+    with refuses("planned differently"):
         so.resume(path, body())
     rewritten(path, lambda record, _: record.update(schema=99))
-    with pytest.raises(so.InputError, match="form 99"):
+    with refuses("form 99"):
         so.resume(path, body())
     killed(tmp_path / "b.npz")
     rewritten(tmp_path / "b.npz", lambda _, arrays: arrays.update(nodes=np.zeros((3, 2))))
@@ -371,7 +371,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share, tmp_path):
     (tmp_path / ".run.123.part.npz").write_bytes(b"of a run that was killed while it wrote")
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(so.InputError, match="resume looks"):
+    with refuses("resume looks"):
         so.solve(process, checkpoint=path, **settings)
     with pytest.warns(so.CheckpointWarning, match="damaged.*before it, after step 12") as warned:
         assert same(so.resume(path, process), whole)
@@ -386,7 +386,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share, tmp_path):
 
 def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path):
     path = tmp_path / "run.npz"
-    with pytest.raises(so.InputError, match="there is no checkpoint"):
+    with refuses("there is no checkpoint"):
         so.resume(path, body())
     killed(path)
     for file in (path, tmp_path / "run.npz.previous"):
@@ -477,7 +477,7 @@ def continued(**changes):
 def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path):
     path = tmp_path / "run.npz"
     killed(path)
-    with pytest.raises(so.InputError, match="has done 16 of 20 steps; continue it"):
+    with refuses("has done 16 of 20 steps; continue it"):
         so.solve(body(), t_end=2.0, steps=20, checkpoint=path)
     so.resume(path, body())
     assert so.solve(body(), t_end=1.0, steps=20, checkpoint=path).success
@@ -498,9 +498,9 @@ def test_a_file_that_cannot_be_read_is_named(name, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "open", refusing)
     refused = f"{name} cannot be read .Permission denied"
-    with pytest.raises(so.InputError, match=refused):
+    with refuses(refused):
         so.resume(path, process)
-    with pytest.raises(so.InputError, match=refused):
+    with refuses(refused):
         so.solve(process, t_end=1.0, steps=12, checkpoint=path)
 
 
@@ -517,7 +517,7 @@ def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path):
                 lambda: so.solve(process, checkpoint=where, **settings),
                 lambda: so.resume(where.path, process),
             ):
-                with pytest.raises(so.InputError, match=r"run.npz is being written by another run"):
+                with refuses(r"run.npz is being written by another run"):
                     again()
                 messages.append(info.step)
 
@@ -538,12 +538,12 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
     pipe = tmp_path / "pipe.msh"
     os.mkfifo(pipe)
     for path in (pipe, Path("/dev/zero")):
-        with pytest.raises(so.InputError, match=f"{path.name}: cannot be read .no regular file"):
+        with refuses(f"{path.name}: cannot be read .no regular file"):
             so.Table.from_csv(path, "f")
-        with pytest.raises(so.InputError, match=f"{path.name}.*no regular file"):
+        with refuses(f"{path.name}.*no regular file"):
             read_mesh(path)
     for path in (pipe, Path("/dev/full")):
-        with pytest.raises(so.InputError, match=r"checkpoint is .* where no file can be written"):
+        with refuses(r"checkpoint is .* where no file can be written"):
             so.solve(process, checkpoint=path, **settings)
 
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 import skfem
-from cases import slow
+from cases import refuses, slow, worst_certificate
 from meshes import run_of
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sweepopt import InputError, cli
+from sweepopt import cli
 from sweepopt.fem import (
     BodyForce,
     Dashpot,
@@ -75,12 +75,12 @@ def test_an_effect_is_left_out_by_its_kind_or_by_its_name():
         read_scene(SOLID, without=without) for without in ([], ["traction[1]"], ["traction"])
     )
     assert len(both.effects) == len(one.effects) + 1 == len(none.effects) + 2
-    with pytest.raises(InputError, match=r"no effect 'body_force'; there are: visc.*traction\[1\]"):
+    with refuses(r"no effect 'body_force'; there are: visc.*traction\[1\]"):
         read_scene(SOLID, without=["body_force"])
     # also one of a user's own that is not there
     changes = {"effects.rail": {"c": 1.0}}
     assert len(read_scene("square", changes=changes, without=["rail"]).effects) == 4
-    with pytest.raises(InputError, match=r"effects\.rail: unknown key; .* of your own"):
+    with refuses(r"effects\.rail: unknown key; .* of your own"):
         read_scene("square", changes=changes, without=["traction"])
 
 
@@ -227,7 +227,7 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block):
     solution = scene.solve(steps=40, scheme="implicit-euler", tol=1e-9)
     slip, law = slip_of(scene, solution), SlipWeakening(0.05, 0.3)
     assert 0 < solution.plan.contraction < 0.5
-    assert solution.stats["relative"].max() <= 1e-9
+    assert worst_certificate(solution) <= 1e-9
     assert np.count_nonzero(slip.contact.unknown[0] >= 0) == block
     force, far = (
         np.linalg.norm(x.reshape(*x.shape[:2], -1), axis=2)
@@ -353,7 +353,7 @@ def test_a_law_of_the_slip_goes_with_kinematic_hardening():
 def test_numbers_for_unknowns_that_friction_turns_are_refused():
     """(0.1, 0.3) at a wall that rubs and does not hold was taken for (0.3, -0.1)."""
     effects, u = [Viscosity(1.0), Friction("bottom", 0.1)], ["0.1 * (1 - y)", "0.3 * (1 - y)"]
-    with pytest.raises(InputError, match=r"u0: friction turns unknowns .*Initial"):
+    with refuses(r"u0: friction turns unknowns .*Initial"):
         body(UNIT, effects, u0=UNIT.interpolate(u))
     scene = body(UNIT, effects, u0=Initial(u))
     turned = scene.discretisation
@@ -442,7 +442,7 @@ def test_a_run_of_another_scene_is_no_start(tmp_path):
         for name, (other, more, words) in zip(
             cycle(("run.nc", "solution.nc")), others, strict=False
         ):
-            with pytest.raises(InputError, match=rf"initial.run: .*{words}"):
+            with refuses(rf"initial.run: .*{words}"):
                 read_scene(other, changes=start(tmp_path / name, more))
 
 
@@ -458,7 +458,7 @@ def test_a_run_whose_other_half_was_plastic_is_no_start(tmp_path):
     run = Initial(run=tmp_path / "run.nc")
     plastic("left").solve(t_end=1.0, steps=1, save=run.run)
     assert not plastic("left", run).problem.u0.any()
-    with pytest.raises(InputError, match=r"run: .* is of another mesh .* other cells are plastic"):
+    with refuses(r"run: .* is of another mesh .* other cells are plastic"):
         plastic("right", run)
 
 

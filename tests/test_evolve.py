@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import block
+from cases import SQUARE, block, refuses
 from reference_cases import case
 
 import sweepopt as so
@@ -32,9 +32,9 @@ def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes():
         np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None], abs=1e-12
     )
     for outside in (-0.1, 5.1):
-        with pytest.raises(so.InputError, match="outside"):
+        with refuses("outside"):
             sol(outside)
-    with pytest.raises(so.InputError, match="t is nan"):
+    with refuses("t is nan"):
         sol(np.nan)
 
 
@@ -166,7 +166,7 @@ def test_the_residual_of_the_inequality_vanishes_with_the_step():
     [
         so.Point([0.0, 0.0]),
         so.Polyhedron([[1.0, 2.0], [1.0, -1.0], [-1.0, -0.5]], [1.0, 1.0, 1.0]),
-        so.Ball([0, 0], 1.0) + so.Box([-1, -1], [1, 1]),
+        so.Ball([0, 0], 1.0) + SQUARE,
     ],
     ids=lambda S: type(S).__name__,
 )

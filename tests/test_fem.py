@@ -7,11 +7,11 @@ import meshio
 import numpy as np
 import pytest
 import skfem
-from cases import slope
+from cases import refuses, slope
 from meshes import annulus, errors, square, write_msh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sweepopt import Constant, InputError, Sine
+from sweepopt import Constant, Sine
 from sweepopt.fem import (
     BodyForce,
     Discretisation,
@@ -412,7 +412,7 @@ def test_an_abaqus_file_has_its_sets_or_is_refused(tmp_path):
         (NODES.replace("4, 0, 1", "4, , 1") + BLOCKS, "could not convert"),
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=fault):
+        with refuses(fault):
             read_mesh(path)
 
 
@@ -478,7 +478,7 @@ def test_a_bad_mesh_file_is_refused_with_its_name_and_fault(tmp_path, capfd, con
         write_msh(path, content)
     elif content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputError, match=f"bad.msh: {message}"):
+    with refuses(f"bad.msh: {message}"):
         read_mesh(path)
     assert capfd.readouterr() == ("", "")
 
@@ -490,7 +490,7 @@ def test_cells_that_are_there_twice_or_fold_over_are_refused(d):
     twice = type(mesh)(mesh.p, np.hstack([mesh.t, mesh.t[:, :1]]))
     folded = grid([1.0] * d, [2] * d, ["x * (x - 0.7)", "y", "z"][:d])
     for one in (twice, folded):
-        with pytest.raises(InputError, match=r" \d near .* overlaps a neighbour or is there twice"):
+        with refuses(r" \d near .* overlaps a neighbour or is there twice"):
             check_mesh(one)
     check_mesh(mesh)
 
@@ -553,7 +553,7 @@ def test_two_middle_nodes_of_one_edge_are_refused(tmp_path):
     points = np.pad([*corners, *middles, [0.5, 1], [0, 0.5], [0.5, 0.52]], ((0, 0), (0, 1)))
     mesh = meshio.Mesh(points, {"triangle6": [[0, 1, 2, 4, 5, 6], [0, 2, 3, 9, 7, 8]]})
     meshio.write(tmp_path / "square.vtk", mesh)
-    with pytest.raises(InputError, match="have not one middle node each"):
+    with refuses("have not one middle node each"):
         read_mesh(tmp_path / "square.vtk")
 
 

@@ -6,7 +6,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from cases import slow
+from cases import SQUARE, slow
 from study_table import lie
 
 import sweepopt as so
@@ -188,7 +188,7 @@ def test_the_judge_does_not_trust_its_own_method(monkeypatch):
             exact, "exact_multipliers", lambda *data, by=wrong_by: plain(*data) * (1 + Decimal(by))
         )
         with pytest.raises(so.SweepoptError, match="was not found"):
-            program.solve(q, so.Box([-1.0, -1.0], [1.0, 1.0]))
+            program.solve(q, SQUARE)
 
 
 def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(monkeypatch):

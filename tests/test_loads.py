@@ -6,10 +6,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from cases import block
+from cases import block, refuses
 
 import sweepopt as so
-from sweepopt import Constant, InputError, Polynomial, Separable, Sine, Table, Triangle
+from sweepopt import Constant, Polynomial, Separable, Sine, Table, Triangle
 
 HISTORIES = [
     Constant(2.0),
@@ -56,7 +56,7 @@ def test_a_table_answers_inside_its_range_and_at_its_ends_up_to_rounding():
     table = Table([0.1, 0.7], [1.0, 3.0])
     assert table(0.1 + 6 * 0.1) == 3.0  # 0.7000000000000001
     for t in (0.0999, 0.70001):
-        with pytest.raises(InputError, match=r"outside the table, which covers \[0.1, 0.7\]"):
+        with refuses(r"outside the table, which covers \[0.1, 0.7\]"):
             table(t)
 
 
@@ -92,14 +92,14 @@ def test_a_product_of_histories_bounds_its_values_and_their_variation():
             fine = np.abs(np.diff(phi(t))).sum()
             assert fine <= phi.variation(a, b) <= 10 * fine
             assert np.abs(phi(t)).max() <= phi.largest(a, b)
-    with pytest.raises(so.InputError, match="the rate of Modulated"):
+    with refuses("the rate of Modulated"):
         phi.rate()
     process = so.SweepingProcess(1.0, 1.0, so.Moving(so.Box(-1.0, 1.0), phi), 0.0)
-    with pytest.raises(so.InputError, match="a Modulated history has no closed form"):
+    with refuses("a Modulated history has no closed form"):
         so.solve(process, t_end=1.0, steps=2, scheme="exact")
     late = so.Moving(so.Box(-1.0, 1.0), so.Modulated(waves[0], table))
     process = so.SweepingProcess(1.0, 1.0, late, 0.0)
-    with pytest.raises(so.InputError, match=r"the table, which covers \[0, 2\]"):
+    with refuses(r"the table, which covers \[0, 2\]"):
         so.solve(process, t_end=3.0, steps=6)
 
 
@@ -172,7 +172,7 @@ def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time():
     black_box = Separable([(lambda t: t**2, [1.0])])
     assert black_box(3.0) == [9.0]
     assert black_box.breakpoints(0.0, 1.0).size == 0
-    with pytest.raises(InputError, match=r"terms\[0\].* does not tell its variation"):
+    with refuses(r"terms\[0\].* does not tell its variation"):
         black_box.variation(0.0, 1.0)
     load = so.Separable([(Step(), 1.0), (so.Sine(1.0, 4.0), 0.0)])
     times = np.array([0.5, 1.5])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import SQUARE, refuses, worst_certificate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -113,7 +114,7 @@ def test_a_set_with_a_known_dim_is_not_asked_for_before_it_starts():
     ):
         assert C.dim == dim
         assert C.at(5.0).same_cone(C.at(6.0))
-    with pytest.raises(so.InputError, match=r"at t = 0: the table .*; give dim= if"):
+    with refuses(r"at t = 0: the table .*; give dim= if"):
         so.MovingSet(lambda t: so.Ball(from_five(t), 1.0))
     load = so.Polyhedron([[1.0], [-1.0]], lambda t: from_five(t)[:2] + 5 * (t - 5))
     process = so.SweepingProcess(1.0, None, load, 0.0)
@@ -146,7 +147,7 @@ def test_a_set_that_becomes_empty_says_when_once():
 def test_a_box_shrinks_through_all_sizes_to_a_point_and_grows_again(solver):
     A, f = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.array([3.0, 1.0])
     sizes = [4.0, 1e-16, 1e-40, 1e-70, 1e-74, 0.0, 1e-70, 1e-16, 1.0]
-    C = so.Moving(so.Box([-1, -1], [1, 1]), f, scale=lambda t: sizes[round(t)])
+    C = so.Moving(SQUARE, f, scale=lambda t: sizes[round(t)])
     process = so.SweepingProcess(A, None, C, [0.0, 0.0])
     sol = so.solve(process, t_end=8.0, steps=8, scheme="implicit-euler", solver=solver, tol=1e-12)
     assert sol.success
@@ -201,7 +202,7 @@ def test_friction_that_weakens_with_slip_keeps_the_order_of_a_scheme(scheme, ord
     for steps in (40, 80, 160, 320):
         sol = so.solve(mass(), t_end=2.0, steps=steps, scheme=scheme, tol=1e-10)
         assert sol.success
-        assert sol.stats["relative"].max() <= 1e-10
+        assert worst_certificate(sol) <= 1e-10
         errors.append(abs(sol.u[:, 0] - exact(sol.t)).max())
     slopes = np.diff(np.log2(errors))
     assert np.allclose(slopes, -order, atol=0.1), (errors, slopes)
@@ -247,7 +248,7 @@ def test_a_lipschitz_matrix_that_is_too_small_is_found_by_the_iteration():
         return so.Box(5 * t - g, 5 * t + g)
 
     C = so.StateDependent(friction, 0.01)
-    with pytest.raises(so.InputError, match=r"lipschitz of C\(t, u\) is too small: at t = "):
+    with refuses(r"lipschitz of C\(t, u\) is too small: at t = "):
         so.solve(so.SweepingProcess(1.0, None, C, 0.0), t_end=1.0, steps=10)
 
 
@@ -283,5 +284,5 @@ def test_energy_viability_and_programs_see_the_set_of_the_state(tmp_path):
     so.solve(mass(), t_end=2.0, steps=80, checkpoint=stop, callback=lambda step: step.step == 50)
     whole = so.solve(mass(), t_end=2.0, steps=80, checkpoint=tmp_path / "other.npz")
     assert np.array_equal(so.resume(stop.path, mass()).u, whole.u)
-    with pytest.raises(so.InputError, match=r"C\(t\)"):
+    with refuses(r"C\(t\)"):
         so.resume(stop.path, mass(steepest=2 * STEEPEST))

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import slope, slow
+from cases import slope, slow, worst_certificate
 from reference_cases import GRIDS, SETS, case
 
 import sweepopt as so
@@ -41,7 +41,7 @@ def test_errors_and_order_are_those_of_the_theory(name, scheme, grids):
     for steps in grids:
         sol = run(this, steps, scheme)
         assert sol.success
-        assert sol.stats["relative"].max() <= 1e-6
+        assert worst_certificate(sol) <= 1e-6
         errors.append(this.error(sol))
         if expected := this.errors[scheme].get(str(steps)):
             margin = 0.03 if scheme in SECOND_ORDER else 0.02

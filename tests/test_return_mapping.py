@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import skfem
+from cases import worst_certificate
 from meshes import run_of
 from numpy.testing import assert_allclose, assert_array_equal
 from test_fem import order
@@ -55,7 +56,7 @@ def test_the_pipe_converges_to_its_closed_form_with_every_step_proved(name):
         scene = pipe(refinements, **({"Hk": 0.0} | hardening))
         sol = scene.solve(path="return mapping")
         assert sol.plan.path == "return mapping"
-        assert sol.stats["relative"].max() <= 1e-10
+        assert worst_certificate(sol) <= 1e-10
         errors.append(np.abs(centre(scene, sol.u[[*exact]]) - [*exact.values()]).max())
     slopes = order(errors)
     assert slopes.min() > 1.2, (errors, slopes)
@@ -93,7 +94,7 @@ def test_a_material_point_follows_the_path_of_ssnp14(kind):
     errors = []
     for steps in (30, 60, 120):
         sol = scene.solve(steps=steps, path="return mapping")
-        assert sol.stats["relative"].max() <= 1e-10
+        assert worst_certificate(sol) <= 1e-10
         u = space.expand(sol.u[steps // 3 :: steps // 3, : space.dim])[:, ends]
         strains = (u[:, 0] - u[:, 1])[:, :2] * [1.0, 0.5]
         errors.append(np.abs(strains / STRAINS - 1).max())
@@ -135,7 +136,7 @@ def test_a_ring_a_thousand_times_as_stiff_is_solved_by_return_mapping_alone():
     run = read_scene("ring", changes=changes).solve()
     assert run.success
     assert run.plan.path == "return mapping"
-    assert run.stats["relative"].max() <= run.plan.tol
+    assert worst_certificate(run) <= run.plan.tol
     assert run.stats["attempts"].max() == 1
     assert run.stats["iterations"].max() <= 150
 
@@ -159,7 +160,7 @@ def test_yield_stresses_differ_by_subdomain_and_the_load_is_data():
     strain, hard = scene.plastic_strain(sol)[-1], STRIP.subdomains["hard"]
     assert np.delete(strain, hard).min() > 0.05
     assert not strain[hard].any()
-    assert sol.stats["relative"].max() <= 1e-10
+    assert worst_certificate(sol) <= 1e-10
     assert scene.process.variation(np.linspace(0, 1, 5)).guaranteed
 
 
@@ -205,7 +206,7 @@ def test_perzynas_viscosity_follows_its_closed_form(hardening):
     shear = s**2 / 0.6 if not H else (s - 0.3 / H * (1 - np.exp(-s * H / 0.3))) / H
     for steps in (15, 30, 60):
         sol = scene.solve(steps=steps, path="return mapping")
-        assert sol.stats["relative"].max() <= 1e-10
+        assert worst_certificate(sol) <= 1e-10
         assert set(sol.stats["solver"]) <= {"return mapping", "at rest"}
         errors.append(abs(scene.displacement(sol)[-1].max() - (1.5 + 2 * shear)))
     slopes = order(errors)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import skfem
-from cases import slow
+from cases import slow, worst_certificate
 
 from sweepopt.fem import read_scene
 
@@ -23,7 +23,7 @@ def steady(name, P, **domain):
     scene = read_scene(name, changes=changes | {"time.end": 1.0, "time.steps": 1})
     run = scene.solve()
     assert run.plan.path == "cones"
-    assert run.stats["relative"].max() <= 1e-6
+    assert worst_certificate(run) <= 1e-6
     return scene, scene.velocity(run)[0]
 
 
@@ -99,7 +99,7 @@ def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops():
     t = (run.t[1:] + run.t[:-1]) / 2
     P = PEAK * np.interp(t, [0.0, 3.0, 5.0, 8.0], [0.0, 1.0, 1.0, 0.0])
     velocity = scene.velocity(run)
-    assert run.stats["relative"].max() <= 1e-6
+    assert worst_certificate(run) <= 1e-6
     assert mean_of(scene, velocity) == pytest.approx(flux(P), abs=4e-3 * flux(PEAK))
     assert not velocity[P <= 2 * G / R].any()
     assert velocity[P > 1.1 * 2 * G / R].any(axis=1).all()
@@ -120,7 +120,7 @@ def test_the_gel_of_the_loading_ramp_agrees_with_its_closed_form():
         changes = {"domain.refinements": refinements, "time.end": end, "time.steps": steps}
         scene = read_scene("gel", changes=changes)
         run = scene.solve()
-        assert run.stats["relative"].max() <= 1e-6
+        assert worst_certificate(run) <= 1e-6
         u = scene.displacement(run)[-1]
         errors.append(abs(mean_of(scene, u) / exact - 1))
     assert np.diff(np.log2(errors)).max() < -1.8, errors

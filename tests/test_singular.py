@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
-from cases import slope
+from cases import refuses, slope, springs
 from scipy.optimize import lsq_linear
 
 import sweepopt as so
@@ -107,7 +107,7 @@ def test_a_rectifier_with_an_ideal_diode_follows_its_source_and_then_decays():
     decay = np.sin(off) * np.exp(-(sol.t - off) / (R * c))
     assert voltage == pytest.approx(np.where(sol.t < off, np.sin(sol.t), decay), abs=1e-3)
     assert sol.velocity[:, 0].min() >= 0
-    with pytest.raises(so.InputError, match="both are singular; compare"):
+    with refuses("both are singular; compare"):
         sol.error_bound()
 
 
@@ -116,7 +116,7 @@ def test_a_common_kernel_is_refused_and_a_little_elasticity_tends_to_the_play():
     A, B = np.zeros((2, 2)), np.array([[1.0, -1.0], [-1.0, 1.0]])
     load = so.Separable([(so.Triangle(0.75, 4.0), [1.0, 0.0])])
     C = so.Moving(so.Box([-0.5, -0.3], [0.5, 0.3]), center=load)
-    with pytest.raises(so.InputError, match=r"bounded C.* a little elasticity to an element"):
+    with refuses(r"bounded C.* a little elasticity to an element"):
         so.SweepingProcess(A, B, C, [0.0, 0.0])
     errors = []
     for little in (1e-2, 1e-3, 1e-4, 1e-5):
@@ -127,7 +127,7 @@ def test_a_common_kernel_is_refused_and_a_little_elasticity_tends_to_the_play():
 
 
 def test_an_incompatible_start_is_refused_and_a_compatible_one_computed():
-    with pytest.raises(so.InputError, match=r"change u0, to so\.compatible_start"):
+    with refuses(r"change u0, to so\.compatible_start"):
         so.solve(zener([1.0, 0.0]), t_end=1.0, steps=5)
     start = so.compatible_start(zener([1.0, 0.0]))
     assert start == pytest.approx([G / (K0 + K1), 0.0], abs=1e-9)  # only the spring's end jumps
@@ -157,7 +157,7 @@ def test_zeros_that_are_stored_couple_nothing():
 
 def test_a_body_that_can_move_is_refused_though_rounding_makes_its_matrix_definite():
     """These three have Cholesky factors: their runs failed at a later step, or not at all."""
-    held = 2 * np.eye(8) - np.eye(8, k=1) - np.eye(8, k=-1)
+    held = springs(8)
     for seed in (5, 15, 21):
         rng = np.random.default_rng(seed)
         E, motion = rng.normal(size=(30, 30)), rng.uniform(0.5, 1.5, size=30)

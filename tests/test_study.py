@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
+from cases import refuses
 from processes import started
 from reference_cases import case
 from test_cli import make_scene
@@ -150,11 +151,11 @@ def test_a_process_of_ones_own_is_a_problem_like_those_of_the_library(tmp_path):
     other = own_source("mine", known.process(), 0.5 * known.t_end)
     assert run(replace(SMALL, problems=(mine,)), tmp_path).run.isin(table.run).all()
     assert not run(replace(SMALL, problems=(other,)), tmp_path).run.isin(table.run).any()
-    with pytest.raises(so.InputError, match=r"^problems\[0\]: a process is given as own_source"):
+    with refuses(r"^problems\[0\]: a process is given as own_source"):
         replace(SMALL, problems=(known.process(),))
-    with pytest.raises(so.InputError, match="executor: processes of one's own"):
+    with refuses("executor: processes of one's own"):
         run(replace(SMALL, problems=(mine,)), tmp_path, executor=processes(1))
-    with pytest.raises(so.InputError, match=r"study must be a Study, got 'my.toml'; .*read_study"):
+    with refuses(r"study must be a Study, got 'my.toml'; .*read_study"):
         run("my.toml", tmp_path)
 
 
@@ -315,7 +316,7 @@ def test_a_cluster_that_is_not_there_or_shares_time_is_refused():
             (there.scheduler_address, "has 2 threads, .* --nthreads 1"),
             ("nowhere", "scheduler 'nowhere' does not answer"),
         ):
-            with pytest.raises(so.InputError, match=words), dask_executor(address):
+            with refuses(words), dask_executor(address):
                 pass
 
 
