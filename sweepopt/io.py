@@ -185,18 +185,19 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             raise InputError(
                 f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
             )
-    rows = np.empty((len(table), len(names)))
-    for values, (row, cells) in zip(rows, table.items(), strict=True):
+    rows = []
+    for row, cells in table.items():
         if len(cells) > len(header):
             raise InputError(
                 f"{path}, row {row}: {len(cells)} cells under {len(header)} column names; "
                 "write decimals with a point (1.5, not 1,5)"
             )
         by_name = dict(zip(header, cells, strict=False))
-        values[:] = [
+        numbers = (
             _number(f"{path}, column {name!r}, row {row}", by_name.get(name, "")) for name in names
-        ]
-    return rows.T, list(table)
+        )
+        rows.append([*numbers])
+    return np.transpose(rows), list(table)
 
 
 def _number(where: str, cell: str) -> float:

@@ -157,7 +157,7 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
     path = as_path("path", path)
     with at_path("mesh "):
         content = read_bytes(path)
-    printed = io.StringIO()
+    printed, where = io.StringIO(), f"mesh {path.name:.100}: "
     try:
         gmsh = content.startswith(b"$MeshFormat")
         if gmsh and b"$EndElements" not in content:  # meshio takes the elements up to there
@@ -179,13 +179,13 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
             )
         return _mesh_of(raw)
     except InputError as error:
-        raise InputError(f"mesh {path.name:.100}: {error}") from None
+        raise InputError(f"{where}{error}") from None
     except (Exception, SystemExit) as error:  # meshio has no list of what it raises
         fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
-        what = f"mesh {path.name:.100}: is damaged or no mesh that meshio can read, such as .msh"
+        what = "is damaged or no mesh that meshio can read, such as .msh"
         if "gmsh:physical" in fault:
-            what = f"mesh {path.name:.100}: has elements in no physical group (Mesh.SaveAll = 1)"
-        raise InputError(f"{what} ({fault:.200})") from None
+            what = "has elements in no physical group (Mesh.SaveAll = 1)"
+        raise InputError(f"{where}{what} ({fault:.200})") from None
 
 
 def check_mesh(mesh: skfem.Mesh) -> None:

@@ -35,7 +35,6 @@ from sweepopt.fem.contact import Contact, Yield, by_history, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
     Effect,
-    Force,
     Kinematics,
     Stress,
     released,
@@ -722,13 +721,12 @@ def _forces_of_motion(
     space: Discretisation,
     effects: Mapping[str, Effect],
     lifts: Sequence[tuple[History, Array]],
-) -> list[Force]:
+) -> list[Any]:
     """-A_fd d' and -B_fd d, by the matrices of the body with nothing held."""
     A, B, _ = released(space, effects.values())
-    terms: list[Force] = []
-    for history, d in lifts:
-        phi: Any
-        for phi, M in ((history.rate(), A), (history, B)):
-            if M is not None:
-                terms.append((phi, -space.restrict(M @ d)))
-    return terms
+    return [
+        (phi, -space.restrict(M @ d))
+        for history, d in lifts
+        for phi, M in ((history.rate(), A), (history, B))
+        if M is not None
+    ]

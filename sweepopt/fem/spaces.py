@@ -197,10 +197,10 @@ class Discretisation(Brief):
         of stresses and plastic strains: of P1 elements the centroid, of P2 one exact on quadratic
         functions. Scenes drop it once they are assembled, as it is large.
         """
-        order, rule, d = 2, None, self.mesh.dim()
+        rule, d = None, self.mesh.dim()
         if self.scalar.elem.maxdeg == 1:
             rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
-        return skfem.CellBasis(self.mesh, self._element, intorder=order, quadrature=rule)
+        return skfem.CellBasis(self.mesh, self._element, intorder=2, quadrature=rule)
 
     @property
     def whole(self) -> Place:
@@ -394,10 +394,8 @@ class Discretisation(Brief):
         Of a vector a list of data, one for each component. The name is what errors call it.
         """
         coefficient, full = Coefficient(name), np.zeros(self.nodes.size)
-        for dofs, datum in zip(
-            self.nodes, coefficient.parts(function, self.components), strict=True
-        ):
-            full[dofs] = coefficient.values(datum, self.points.T)
+        parts = coefficient.parts(function, self.components)
+        full[self.nodes] = [coefficient.values(datum, self.points.T) for datum in parts]
         return self.restrict(full)
 
     def rows(self, basis: Any, values: Any) -> sp.csr_array:
