@@ -128,17 +128,17 @@ class _Iteration:
             residual = nearest - w
             size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
             rounding = EPS * forces
-            # at rounding the equation cannot get better: stop when it does not, or when it cycles
-            stalled += size >= smallest
+            # at rounding no tangent is better: stop where that gets no better, or when it cycles
+            close, stalled = size <= 1e3 * rounding, stalled + (size >= smallest)
             if not self._proved and size <= NEGLIGIBLE * forces:
                 self._z = (nearest - v) / T
                 return Answer(
                     self._z, status="iterated", iterations=iteration, w=nearest, normal=True
                 )
-            if size <= rounding or (size <= 1e3 * rounding and stalled):
+            if size <= rounding or (close and (stalled or 2 * size >= smallest)):
                 self._z = z
-                return Answer(z, status="iterated", iterations=iteration)
-            if not self._key or (iteration and size >= SAME_TANGENT * smallest):
+                return Answer(z, status="iterated", iterations=iteration, w=w)
+            if not self._key or (iteration and not close and size >= SAME_TANGENT * smallest):
                 D = C.blocks(v)
                 if D is None or not self._turn(D, T):
                     break
