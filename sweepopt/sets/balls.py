@@ -73,19 +73,18 @@ class Balls(ConvexSet):
         return (w - self.center).reshape(-1, self.block)
 
     def support(self, z: Array) -> float:
-        lengths = np.linalg.norm(z.reshape(-1, self.block), axis=1)
-        return float(np.sum(self.center * z) + self.radii @ lengths)
+        return float(np.sum(self.center * z) + self.radii @ lengths(z.reshape(-1, self.block)))
 
     def project(self, w: Array) -> Array:
         return self.project_rows(w[None])[0]
 
     def project_rows(self, rows: Array) -> Array:
         arms = self._arms(rows).reshape(len(rows), -1, self.block)
-        lengths = np.linalg.norm(arms, axis=2)
-        outside = lengths > self.radii
+        sizes = lengths(arms)
+        outside = sizes > self.radii
         if not outside.any():
             return rows
-        factor = np.divide(self.radii, lengths, out=np.ones_like(lengths), where=outside)
+        factor = np.divide(self.radii, sizes, out=np.ones_like(sizes), where=outside)
         moved = self.center + (factor[..., None] * arms).reshape(rows.shape)
         return np.where(outside.any(axis=1)[:, None], moved, rows)
 
@@ -100,7 +99,7 @@ class Balls(ConvexSet):
         p, arms = (
             np.moveaxis(x.reshape(*x.shape[:2], -1, self.block), 2, 1) for x in (p, w - self.center)
         )
-        sigma = self.radii[:, None] * np.linalg.norm(p, axis=3)
+        sigma = self.radii[:, None] * lengths(p)
         gaps = np.maximum(sigma[..., None] - p @ np.swapaxes(arms, 2, 3), 0.0)
         gaps += ROUNDING * (sigma + np.abs(shift)[:, None])[..., None]
         of_w = (products(2, w.shape[1] - 1) * gaps).sum(axis=(2, 3))
@@ -113,12 +112,13 @@ class Balls(ConvexSet):
     def blocks(self, v: Array) -> list[Blocks]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
         arms = self._arms(v)
-        lengths = np.linalg.norm(arms, axis=1)
-        out = lengths > self.radii
-        n = np.divide(arms, lengths[:, None], out=np.zeros_like(arms), where=out[:, None])
-        share = np.divide(self.radii, lengths, out=np.ones_like(lengths), where=out)
-        D = share[:, None, None] * (np.eye(self.block) - n[:, :, None] * n[:, None, :])
-        return [neighbours(D)]
+        sizes = lengths(arms)
+        out = sizes > self.radii
+        # the balls last: products of few entries run along them
+        n = np.divide(arms.T, sizes, out=np.zeros(arms.T.shape), where=out)
+        share = np.divide(self.radii, sizes, out=np.ones_like(sizes), where=out)
+        D = share * (np.eye(self.block)[:, :, None] - n[:, None] * n)
+        return [neighbours(D.transpose(2, 0, 1))]
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]
@@ -212,7 +212,7 @@ class SecondOrderCone(ConvexSet):
     def _split(self, w: Array) -> tuple[Array, Array, Array]:
         """Heights over the apex, arms from the axis and their lengths, one for each cone."""
         rows = w.reshape(-1, self.block)
-        return rows[:, 0], rows[:, 1:], np.linalg.norm(rows[:, 1:], axis=1)
+        return rows[:, 0], rows[:, 1:], lengths(rows[:, 1:])
 
     def support(self, z: Array) -> float:
         height, _, length = self._split(z)
@@ -281,6 +281,11 @@ class SecondOrderCone(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return -SecondOrderCone(self.block, 1 / self.slopes)
+
+
+def lengths(arms: Array) -> Any:
+    """The Euclidean length of each row."""
+    return np.sqrt(np.einsum("...k,...k->...", arms, arms))
 
 
 def norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.Constraint]:

@@ -143,7 +143,7 @@ class Energy:
             for L, places, of in zip(self._groups, self._places, D, strict=True):
                 some = of.any(axis=(0, 1))
                 if not some.all():
-                    L, places, of = L[:, :, some], places[:, some], of[:, :, some]
+                    L, places, of = (x.compress(some, axis=-1) for x in (L, places, of))
                 of_L = np.einsum("ikm,knm->inm", of, L)
                 stiff = [np.einsum("knm,km->nm", L[:, j:], of_L[:, j]) for j in range(L.shape[1])]
                 entries = np.concatenate([np.zeros((0, places.shape[1])), *stiff])

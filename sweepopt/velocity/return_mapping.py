@@ -109,6 +109,6 @@ class ReturnMapping:
     def _softening(self, S: ConvexSet, r: Array) -> list[Array]:
         """-W^-1 (I - DP_S(r)) at each point: by how much K is softer where it yields."""
         return [
-            np.moveaxis((D - np.eye(D.shape[1])) / self._weights[at][:, :, None], 0, 2)
+            np.moveaxis((D - np.eye(D.shape[1])) / self._weights[at[:, :1], None], 0, 2)
             for at, D in S.blocks(r) or ()
         ]
