@@ -210,8 +210,11 @@ class Factor:
         return float(np.sqrt(max(z @ (self.M @ z), 0.0)))
 
     def dual_norm(self, w: Array) -> float:
-        """|w|_{M^-1} = sqrt<M^-1 w, w>."""
-        return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
+        """|w|_{M^-1} = sqrt<M^-1 w, w>, the length of half a solve where that is known."""
+        if not w.any():
+            return 0.0
+        forward = getattr(self._engine, "forward", None)
+        return math.sqrt(max(w @ self.solve(w), 0.0)) if forward is None else euclidean(forward(w))
 
     @property
     def has_factors(self) -> bool:
