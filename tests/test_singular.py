@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 from cases import refuses, slope, springs
+from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
 import sweepopt as so
@@ -138,6 +139,17 @@ def test_an_incompatible_start_is_refused_and_a_compatible_one_computed():
     assert so.compatible_start(still) == pytest.approx([0.5])
     coercive = so.SweepingProcess(1.0, 2.0, so.Box(-1, 1), 3.0)
     assert so.compatible_start(coercive) == pytest.approx([3.0])
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_a_start_is_compatible_though_rounding_puts_the_load_beside_the_range_of_A():
+    v = np.array([0.1, 0.7, 0.3])  # <kernel of v v^T, v> is 1e-17, not 0
+    load = so.Separable([(so.Constant(), v)])
+    process = so.EvolutionVI(np.outer(v, v), np.eye(3), load=load, u0=np.zeros(3))
+    sol = so.solve(process, t_end=1.0, steps=200)
+    # along v: |v|^2 x' + x = |v|
+    size = np.linalg.norm(v)
+    assert_allclose(sol.u[-1], v * (1 - np.exp(-1 / size**2)), rtol=1e-4)
 
 
 def test_zeros_that_are_stored_couple_nothing():

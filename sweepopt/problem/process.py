@@ -360,7 +360,8 @@ class SweepingProcess(Displayed):
         where = f"{what} is not {home}; its distance is {np.linalg.norm(excess):g}"
         if not self.coercive:
             K = self.kernel
-            if K.shape[1] and _excess(K.T @ force, image(K.T, C)).any():
+            size = max(np.abs(force).max(), np.abs(C.anchor).max())  # what K.T cancels rounds
+            if K.shape[1] and _excess(K.T @ force, image(K.T, C), size=size).any():
                 raise InputError(
                     f"{where}, and A is singular: no velocity makes up for that, so that no "
                     "solution starts there; change u0, to so.compatible_start(process) for example"
@@ -639,11 +640,11 @@ def _valid_fields(fields: Any, dim: int) -> dict[str, slice]:
     return dict(fields)
 
 
-def _excess(force: Array, C: ConvexSet, nearest: Nearest | None = None) -> Array:
-    """The force less the nearest point of C; 0 where that is rounding."""
+def _excess(force: Array, C: ConvexSet, nearest: Nearest | None = None, size: float = 0.0) -> Array:
+    """The force less the nearest point of C; 0 where that is rounding of these or of `size`."""
     point = nearest(force, C) if nearest else C.project(force)
     distance = float(np.linalg.norm(force - point))
-    size = max(np.abs(x).max() for x in (force, point, C.anchor))
+    size = max(size, *(np.abs(x).max() for x in (force, point, C.anchor)))
     # a set around 0 gives its own size; an unbounded one has none
     if distance > 1e-9 * size:
         extent = C.magnitude()
