@@ -13,6 +13,8 @@ from sweepopt.fem import (
     Discretisation,
     Elasticity,
     Foundation,
+    Friction,
+    OneWay,
     Plasticity,
     Traction,
     body,
@@ -212,3 +214,24 @@ def test_perzynas_viscosity_follows_its_closed_form(hardening):
     slopes = order(errors)
     assert slopes == pytest.approx(1.0, abs=0.1), errors
     assert errors[-1] < 0.051 * shear, "without H the steps add 0.05 s to s^2"
+
+
+@pytest.mark.parametrize("beside", ["friction", "one way"])
+def test_isotropic_hardening_alone_goes_beside_friction_and_one_way_motion(beside):
+    # a bar of length 2 pulled by 1.5: what friction at its end leaves stretches it, and it hardens
+    kappa, sigma_y, Hi, g = 5.0, 0.6, 1.7, 0.3 * (beside == "friction")
+    effects = [
+        Elasticity(kappa),
+        Plasticity(sigma_y, Hi=Hi),
+        Traction("right", Table([0.0, 1.0, 2.0], [0.0, 1.5, 1.5])),
+        Friction("right", g) if g else OneWay("body"),
+    ]
+    bar = Discretisation(grid([2.0], [3]), clamped="left")
+    scene = body(bar, effects, t_end=2.0, steps=4, scheme="implicit-euler", tol=1e-10)
+    sol = scene.solve()
+    N = 1.5 - g
+    end = scene.displacement(sol)[2:, -1]
+    assert_allclose(end, 2 * (N / kappa + (N - sigma_y) / Hi), rtol=1e-10)
+    program = sol.step_program(1)
+    assert program.certify(sol.velocity[1]).relative < 1e-9
+    assert program.certify(0.5 * sol.velocity[1]).relative > 0.1

@@ -29,7 +29,7 @@ from sweepopt.checks import (
     with_checks,
 )
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import InputError, result_of, shown
+from sweepopt.errors import IndefiniteError, InputError, result_of, shown
 from sweepopt.fem import output, pictures
 from sweepopt.fem.contact import Contact, Yield, by_history, dissipation, merged
 from sweepopt.fem.effects import (
@@ -528,14 +528,21 @@ def _check_directions(given: Discretisation, space: Discretisation) -> None:
 
 
 @contextmanager
-def _blaming(labels: Iterable[str], parts: Sequence[Contribution]) -> Iterator[None]:
+def _blaming(effects: Mapping[str, Any], parts: Sequence[Contribution]) -> Iterator[None]:
     """Name the effect of an indefinite matrix where a check of the sums fails."""
     try:
         yield
-    except InputError:
-        for label, part in zip(labels, parts, strict=True):
+    except InputError as error:
+        for (label, effect), part in zip(effects.items(), parts, strict=True):
+            cones = any(one.slopes is not None for one in part.yields)
+            if cones and isinstance(error, IndefiniteError) and not effect.Hk:
+                raise InputError(
+                    f"{label}.Hk: isotropic hardening alone is not offered beside a yield stress, "
+                    "or friction with axes, on walls that meet at an angle or where another effect "
+                    "bounds the same nodes; give Hk > 0 or eta > 0"
+                ) from None
             for name in "AB":
-                if (M := getattr(part, name)) is not None:
+                if (M := getattr(part, name)) is not None and not part.internal:
                     with at_path(f"{label}: its "):
                         require_semidefinite(name, M)
         raise
@@ -555,6 +562,13 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
             "clamped (domain.clamped of a file): nothing holds the piece of the body that contains "
             f"{point}; clamp part of every piece, hold components, or give it a foundation or a "
             "dashpot"
+        )
+    if (alone := np.flatnonzero(of_body.diagonal() == 0)).size:
+        node = np.nonzero(space.nodes == space.free[alone[0]])[1][0]
+        point = ", ".join(f"{x:g}" for x in space.points[node])
+        raise InputError(
+            f"effects: no viscosity, elasticity, dashpot or foundation acts at ({point}), so that "
+            "nothing resists its motion; let one act there"
         )
 
 

@@ -85,7 +85,8 @@ class StateVelocity:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
         none = np.zeros(0, dtype=int)
         self._plan, self._contact = plan, none if plan.contact is None else plan.contact
-        self._on_condensed: Inclusion | None = None
+        self._exchange: list[Any] = []
+        self._on_exchanged: dict[bool, Inclusion] = {}
         self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
         self.forget()
 
@@ -135,8 +136,8 @@ class StateVelocity:
                 if mapped is not None and mapped.relative <= self._tol:
                     return mapped
         S = self._copy(S)
-        inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
+        inclusion = self._inclusion(of, few is not EVERY)
         best = self._by_cones(of) if self._plan.cones else unsolved(of)
         if best.relative <= self._tol:
             return best
@@ -148,14 +149,7 @@ class StateVelocity:
 
     def _by_return_mapping(self, of: Instance) -> Velocity | None:
         """By return mapping, and certified; None where alpha' = |p'| is not certain."""
-        if self._on_condensed is None:
-            H = exchanged(self._M, Selection(self._contact, of.S, None))
-            if H is None:
-                self._on_condensed = self._on_all
-            else:
-                M, (A, B, gamma) = Factor(self._M + H, order=self._metric.order), self._data
-                self._on_condensed = Inclusion(M, None if A is None else A + H, B, gamma)
-        inclusion = self._on_condensed
+        inclusion = self._inclusion(of, False)
         if not of.S.exchanges(of.force[self._contact]):
             return None
         if inclusion.rests(of, self._tol):
@@ -172,6 +166,19 @@ class StateVelocity:
             self._cones = Cones(inclusion.M, of.S, self._tol)
         velocity = refined(inclusion, partial(self._cones.propose, of.S), of, self._tol)
         return velocity._replace(solver="cones", attempts=1, w=self._cones.w + of.c)
+
+    def _inclusion(self, of: Instance, few: bool) -> Inclusion:
+        """Of M, or of M + H where the set exchanges stiffness (`ConvexSet.exchange`)."""
+        if not self._exchange:
+            self._exchange = [exchanged(self._M, Selection(of.unknowns, of.S, None))]
+        (H,) = self._exchange
+        if H is None or not of.S.exchanges(of.force[of.unknowns]):
+            return self._on_few if few else self._on_all
+        if few not in self._on_exchanged:
+            M, order, (A, B, gamma) = self._M + H, self._metric.order, self._data
+            metric = Elimination(M, self._contact, order) if few else Factor(M, order=order)
+            self._on_exchanged[few] = Inclusion(metric, None if A is None else A + H, B, gamma)
+        return self._on_exchanged[few]
 
     @cached_property
     def _on_all(self) -> Inclusion:

@@ -19,9 +19,9 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Array, Matrix, count, number, vector
 from sweepopt.display import Brief, as_lines, brief
-from sweepopt.errors import InputError
+from sweepopt.errors import IndefiniteError, InputError
 from sweepopt.linalg import Factor
-from sweepopt.sets import ConvexSet, Point, Similar, in_turn
+from sweepopt.sets import ConvexSet, Point, Similar, exchanged, in_turn
 from sweepopt.velocity.certificate import Velocity, certify_point
 
 if TYPE_CHECKING:
@@ -172,7 +172,8 @@ class StepProgram(Brief):
         -------
         Velocity
             z, its `certificate` >= |z - z*|_M (nan where the set has no proof) and `relative`,
-            which `tol` bounds in a run.
+            which `tol` bounds in a run. Isotropic hardening alone leaves M singular: the norm is
+            that of M + H then, with the stiffness exchanged (`ConvexSet.exchange`).
 
         Raises
         ------
@@ -182,7 +183,14 @@ class StepProgram(Brief):
         if z is None:
             raise InputError("z is None: solve the problem first")
         c, S = untranslated(self.C)
-        return certify_point(Factor(self.M), self.Bu - c, S, vector("z", z, S.dim), 0.0)
+        try:
+            M = Factor(self.M)
+        except IndefiniteError:
+            H = exchanged(self.M, S.selection)
+            if H is None or not S.exchanges(self.Bu - c):
+                raise
+            M = Factor(self.M + H)
+        return certify_point(M, self.Bu - c, S, vector("z", z, S.dim), 0.0)
 
     def __repr__(self) -> str:
         data = ((name, brief(getattr(self, name))) for name in ("M", "Bu", "C"))
