@@ -253,6 +253,14 @@ def count(name: str, value: Any, least: int = 1) -> int:
     return int(value)
 
 
+def step_count(steps: Any) -> int:
+    """A positive whole number of steps."""
+    n = count("steps", steps)
+    if n > LONGEST:
+        raise InputError(f"steps is {shown(n)}, more than {LONGEST:.0e}; run it in parts")
+    return n
+
+
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     size = count("dim", dim)

@@ -142,6 +142,7 @@ def read_mesh(path: str | Path) -> skfem.Mesh:
         `MeshTri2` for six-node triangles. Physical groups, or sets of elements, of facets and cells
         are its boundaries and subdomains, by name, and so are sets of all nodes of outer facets; a
         group without a name is called by its number.
+        VTU files have such numbers of their cells and facets in cell data "gmsh:physical".
 
     Raises
     ------

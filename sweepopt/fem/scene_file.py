@@ -21,7 +21,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from sweepopt.checks import at_path, choice, count, from_table, listed, meaning, number
+from sweepopt.checks import at_path, choice, count, from_table, listed, meaning, number, step_count
 from sweepopt.errors import (
     InputError,
     StabilityWarning,
@@ -365,7 +365,7 @@ def _history(table: Any, path: str, folder: Path) -> Any:
 
 @meaning(dt="; give steps, end / dt")
 def _time(end: float, steps: int) -> dict[str, Any]:
-    return {"t_end": number("end", end, 0.0, strict=True), "steps": count("steps", steps)}
+    return {"t_end": number("end", end, 0.0, strict=True), "steps": step_count(steps)}
 
 
 def _column(csv: Path, column: str, time: str | None = None, scale: float = 1.0) -> Table:
@@ -582,6 +582,7 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
     plan, process = solution.plan, solution.process
     stats = solution.stats[np.isin(solution.t[1:], h * ends)]
     A, B = (0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B))
+    solvers = sorted({one for one in stats["solver"] if not one.startswith("linear")})
     return {
         "unknowns": plan.unknowns,
         "nonsmooth_unknowns": plan.nonsmooth_unknowns,
@@ -589,7 +590,7 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
         "nonzeros_A": A,
         "nonzeros_B": B,
         "path": plan.path,
-        "solvers": ", ".join(sorted(set(stats["solver"].tolist()) - {"linear"})),
+        "solvers": ", ".join(solvers),
         "seconds": float(np.median(stats["seconds"])),
         "certificate": float(stats["relative"].max()),
     }

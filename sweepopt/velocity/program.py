@@ -181,7 +181,8 @@ class StepProgram(Brief):
             If z is no finite vector: None, before the problem is solved.
         """
         if z is None:
-            raise InputError("z is None: solve the problem first")
+            status = self.problem.status or "not solved"
+            raise InputError(f"z is None: problem is {status}; solve it, or take another solver")
         c, S = untranslated(self.C)
         try:
             M = Factor(self.M)
