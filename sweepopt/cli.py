@@ -73,9 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():  # as one line without a source file
             warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
-            code = options.command(options) or 0
+            code: int = options.command(options) or 0
             print(end="", flush=True)
-            return int(code)
+            return code
     except UnstableStepError as error:
         # the rest of its advice is for callers of solve
         _say(f"{str(error).partition(', or say')[0]}; use --steps or --scheme")

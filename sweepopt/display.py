@@ -14,6 +14,8 @@ from sweepopt.errors import InputError
 Rows = Iterable[tuple[str, object]]
 COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#0072B2")
 """Told apart with every common colour vision (Okabe and Ito)."""
+FORMAT: Any = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
+"""Of tables that pandas prints."""
 
 
 def evenly(size: int, most: int) -> np.ndarray:

@@ -193,10 +193,12 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
                 "write decimals with a point (1.5, not 1,5)"
             )
         by_name = dict(zip(header, cells, strict=False))
-        numbers = (
-            _number(f"{path}, column {name!r}, row {row}", by_name.get(name, "")) for name in names
+        rows.append(
+            [
+                _number(f"{path}, column {name!r}, row {row}", by_name.get(name, ""))
+                for name in names
+            ]
         )
-        rows.append([*numbers])
     return np.transpose(rows), list(table)
 
 

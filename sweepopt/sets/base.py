@@ -237,12 +237,13 @@ class Form(NamedTuple):
 
 
 class Algebra(NamedTuple):
-    """What is stated of all kinds of sets in one place: their operations, and `epigraph`."""
+    """What is stated of all kinds of sets in one place: operations, rows that move, `epigraph`."""
 
     add: Callable[[Any, Any], Any]
     scale: Callable[[Any, Any], Any]
     intersect: Callable[[Any, Any], Any]
     image: Callable[[Any, Any], Any]
+    with_moving_offsets: Callable[..., Any]
     epigraph: Callable[[Any, Any], tuple[Any, list[Any]]]
 
 

@@ -379,4 +379,10 @@ def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     require_same_dim(what, C, D)
 
 
-Operators.algebra = Algebra(add, scale, intersect, image, epigraph)
+def with_moving_offsets(G: Any, h: Any) -> MovingOffsets:
+    """{ w : G w <= h(t) }."""
+    G = matrix("G", G)
+    return MovingOffsets(Polyhedron(G, np.zeros(G.shape[0])), h)
+
+
+Operators.algebra = Algebra(add, scale, intersect, image, with_moving_offsets, epigraph)

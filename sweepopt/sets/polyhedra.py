@@ -39,7 +39,6 @@ from sweepopt.sets.least_distance import (
     rational,
     shortest_on,
 )
-from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
 from sweepopt.sets.shapes import FEW, Box, Orthant, rows_features
 
@@ -83,7 +82,7 @@ class Polyhedron(ConvexSet):
 
     def __new__(cls, *args: Any, **named: Any) -> Any:  # subclasses have their own arguments
         if cls is Polyhedron and any(map(callable, (*args, *named.values()))):
-            return _with_moving_offsets(*args, **named)
+            return cls.algebra.with_moving_offsets(*args, **named)
         return super().__new__(cls)
 
     def __init__(self, G: Any, h: Any) -> None:
@@ -435,11 +434,6 @@ class Polyhedron(ConvexSet):
 
 
 Polyhedron.__new__.__signature__ = signature(Polyhedron.__init__)  # type: ignore[attr-defined]
-
-
-def _with_moving_offsets(G: Any, h: Any) -> MovingOffsets:
-    G = matrix("G", G)
-    return MovingOffsets(Polyhedron(G, np.zeros(G.shape[0])), h)
 
 
 def _columns(G: Any, units: Array) -> Any:

@@ -23,10 +23,10 @@ from threadpoolctl import threadpool_limits
 from sweepopt.checks import Array
 from sweepopt.driver import solve
 from sweepopt.errors import SweepoptError, SweepoptWarning
-from sweepopt.io import versions_of
+from sweepopt.io import read_toml, versions_of
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution, guaranteed_bound
-from sweepopt.study.problems import Source, from_coarser, open_source
+from sweepopt.study.problems import PROBLEMS, Source, digest_of
 
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
@@ -132,6 +132,39 @@ class CellRow(NamedTuple):
     unknowns: int = 0
     path: str = ""
     machine: str = ""
+
+
+@lru_cache(8)
+def open_source(source: Source) -> tuple[SweepingProcess, float, Any, str]:
+    """The process, how long it runs, a scene's discretisation and path, once in each worker.
+
+    Raises
+    ------
+    SweepoptError
+        If the files are not those the digest was taken of.
+    """
+    if source.own is not None:
+        return *source.own, None, "auto"
+    path = Path(source.path)
+    if digest_of(path) != source.digest:
+        raise SweepoptError(f"{path} is not as it was when the study started; start it again")
+    if source.small:
+        small = PROBLEMS[source.name]
+        return small.process(), small.t_end, None, "auto"
+    from sweepopt.fem import read_scene
+
+    changes: dict[str, Any] = {"domain.element": source.element} if source.element else {}
+    if source.refinements:
+        own = read_toml(path).get("domain", {}).get("refinements", 0)
+        changes["domain.refinements"] = own + source.refinements
+    scene = read_scene(path, changes=changes)
+    return scene.problem.as_sweeping(), scene.t_end, scene.discretisation, scene.path
+
+
+@lru_cache(8)
+def from_coarser(source: Source, coarse: Source) -> Any:
+    """The matrix that turns states on a coarser mesh of a scene into states on a finer one."""
+    return open_source(source)[2].from_coarser(open_source(coarse)[2])
 
 
 class Reference(NamedTuple):

@@ -20,11 +20,13 @@ from pandas import DataFrame, concat
 from threadpoolctl import threadpool_limits
 
 from sweepopt.checks import Array, count, require_columns
+from sweepopt.display import FORMAT
 from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
-from sweepopt.study.problems import Source, find_source, open_source
+from sweepopt.study.cell import open_source
+from sweepopt.study.problems import Source, find_source
 from sweepopt.velocity import (
     DAQP,
     OSQP,
@@ -38,8 +40,6 @@ from sweepopt.velocity import (
     installed,
 )
 
-FORMAT: dict[str, Any] = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
-"""Of tables that are printed, by pandas."""
 ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
 CVXPY = read_toml(Path(__file__).with_suffix(".toml"))
 """Names of the tolerances, and limits, of the solvers of cvxpy."""

@@ -8,7 +8,6 @@ known. A problem has a digest of its data: an edited scene is another one.
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from sweepopt import loads, sets
 from sweepopt.checks import choice, number
-from sweepopt.errors import InputError, SweepoptError
+from sweepopt.errors import InputError
 from sweepopt.integrate import fingerprint
 from sweepopt.io import as_path, find_scene, read_bytes, read_toml
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
@@ -153,7 +152,7 @@ def find_source(name: str | Path | Source, folder: str | Path = ".") -> Source:
         raise InputError("a process is given as own_source(name, process, t_end)")
     name = str(as_path("the problem", name))
     if name in PROBLEMS:
-        return Source(name, str(FILE), _digest(FILE))
+        return Source(name, str(FILE), digest_of(FILE))
     path = Path(folder, name)
     if path.suffix != ".toml":
         try:
@@ -162,7 +161,7 @@ def find_source(name: str | Path | Source, folder: str | Path = ".") -> Source:
             known = ", ".join(PROBLEMS)
             raise InputError(f"{error}, and for studies {known}") from None
     path = path.resolve()
-    return Source(path.stem, str(path), _digest(path))
+    return Source(path.stem, str(path), digest_of(path))
 
 
 def own_source(name: str, process: SweepingProcess | EvolutionVI, t_end: float) -> Source:
@@ -205,40 +204,7 @@ def body_name(name: str, refinements: int, element: str) -> str:
     return " ".join(filter(None, [name, element, f"h/{2**refinements}" if refinements else ""]))
 
 
-@lru_cache(maxsize=8)
-def open_source(source: Source) -> tuple[SweepingProcess, float, Any, str]:
-    """The process, how long it runs, a scene's discretisation and path, once in each worker.
-
-    Raises
-    ------
-    SweepoptError
-        If the files are not those the digest was taken of.
-    """
-    if source.own is not None:
-        return *source.own, None, "auto"
-    path = Path(source.path)
-    if _digest(path) != source.digest:
-        raise SweepoptError(f"{path} is not as it was when the study started; start it again")
-    if source.small:
-        small = PROBLEMS[source.name]
-        return small.process(), small.t_end, None, "auto"
-    from sweepopt.fem import read_scene
-
-    changes: dict[str, Any] = {"domain.element": source.element} if source.element else {}
-    if source.refinements:
-        own = read_toml(path).get("domain", {}).get("refinements", 0)
-        changes["domain.refinements"] = own + source.refinements
-    scene = read_scene(path, changes=changes)
-    return scene.problem.as_sweeping(), scene.t_end, scene.discretisation, scene.path
-
-
-@lru_cache(maxsize=8)
-def from_coarser(source: Source, coarse: Source) -> Any:
-    """The matrix that turns states on a coarser mesh of a scene into states on a finer one."""
-    return open_source(source)[2].from_coarser(open_source(coarse)[2])
-
-
-def _digest(path: Path) -> str:
+def digest_of(path: Path) -> str:
     """Of a file, of its mesh, of its tables and of the run it starts from."""
     files = [path, *(path.parent / name for name in _file_names(read_toml(path)))]
     parts = [hashlib.sha256(read_bytes(file)).digest() for file in files]

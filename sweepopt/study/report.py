@@ -23,11 +23,11 @@ from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
 from sweepopt.checks import choice, require_columns
+from sweepopt.display import FORMAT
 from sweepopt.errors import InputError, Status, SweepoptWarning
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.cell import CellRow, machine, solution_of
-from sweepopt.study.comparison import FORMAT
 from sweepopt.study.diagram import COSTS, ERROR, LOOK, lines_and_columns, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 

@@ -146,9 +146,7 @@ def stiff_bodies(
 
 def _ratio(x: float, y: float) -> float:
     """x / y; 1 where a body that never moves makes both 0."""
-    if y:
-        return float(x / y)
-    return math.inf if x else 1.0
+    return float(x / y) if y else math.inf if x else 1.0
 
 
 def _judge(row: StiffRow, process: SweepingProcess, bounds: bool) -> Any:
