@@ -856,3 +856,14 @@ MANY = [slow(range(k, k + 40)) for k in range(1000, 1400, 40)]
 def test_the_bound_holds_for_random_processes_on_coarse_grids(seeds, rate_independent):
     for seed in seeds:
         check_bound(seed, rate_independent)
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_an_error_is_delivered_from_one_step_and_many_breakpoints(steps):
+    # differences of velocities need more steps than these
+    times, values = np.linspace(0.0, 4.0, 9), [0.0, 2.0, -1.5, 1.0, 3.0, -2.0, 0.5, 2.5, -1.0]
+    process = block(so.Separable([(so.Table(times, values), 1.0)]), A=0.0)
+    sol = so.solve(process, t_end=4.0, steps=steps, error=0.1)
+    assert sol.error_bound() <= 0.1
+    exact = so.solve(process, steps=sol.t, scheme="exact")
+    assert np.sqrt(2.0) * np.abs(sol.u - exact.u).max() <= sol.error_bound()

@@ -89,9 +89,10 @@ def first_grid(steps: Adaptive, process: SweepingProcess, times: Array, scheme: 
 
 
 def with_breakpoints(process: SweepingProcess, times: Array) -> Array:
-    """The grid with the breakpoints of the load, unless these are more than its steps."""
+    """The grid with the breakpoints of the load, in steps enough for differences of velocities."""
     points = breakpoints_to_meet(histories_of(process.C), float(times[0]), float(times[-1]))
-    return _apart(np.append(times, points)) if len(points) < len(times) else times
+    grid = _apart(np.append(times, points))
+    return grid if len(grid) > PER_PIECE else divided(grid, np.full(len(grid) - 1, PER_PIECE))
 
 
 def adapt(
