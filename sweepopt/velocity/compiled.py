@@ -139,7 +139,8 @@ class StateVelocity:
         of = Instance(q - c, q, c, S, u, few)
         inclusion = self._inclusion(of, few is not EVERY)
         best = self._by_cones(of) if self._plan.cones else unsolved(of)
-        if best.relative <= self._tol:
+        # unproved, what it misses shows in the trajectory's residual
+        if best.relative <= self._tol or (best.relative < math.inf and not self._plan.proved):
             return best
         if self._cascade is None or not self._cascade.serves(inclusion, S):
             data, anew = (inclusion, self._plan.solver, of, self._tol), self._cascade is not None
