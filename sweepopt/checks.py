@@ -347,12 +347,12 @@ def times_inside(value: Any, nodes: Array) -> Array:
 
 
 def matrix(name: str, value: Any) -> Matrix:
-    """A finite float matrix with two axes: dense as an ndarray, sparse as CSC.
+    """A finite float matrix with two axes: dense as an ndarray, sparse as CSR.
 
     A copy whose entries nobody can change, as what is made of them would not follow.
     """
     if sp.issparse(value):
-        result = sp.csc_array(value, copy=True)
+        result = sp.csr_array(value, copy=True)
         result.sum_duplicates()  # in place, which others do later where it is not done
         result.data = read_only(floats(name, result.data, "a matrix of numbers"))
     else:

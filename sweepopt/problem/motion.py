@@ -322,7 +322,7 @@ def _of_scale(extent: float, r: Array) -> float:
 
 def _of_offsets(G: Any, metric: Factor) -> Distance:
     """A bound of the distance of { w : G w <= h } to that with h + dh, of dh."""
-    rows = sp.csr_array(G)
+    rows = sp.csr_array(G, copy=True)
     rows.eliminate_zeros()
     count = np.diff(rows.indptr)
     if (count <= 1).all():  # intervals of single unknowns: their ends move

@@ -600,7 +600,7 @@ def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
                 SweepoptWarning,
             )
     one = next(iter(given.values()))
-    zero = sp.csc_array(one.shape) if sp.issparse(one) else np.zeros(one.shape)
+    zero = sp.csr_array(one.shape) if sp.issparse(one) else np.zeros(one.shape)
     return parts.get("A", zero), parts.get("B"), sizes
 
 

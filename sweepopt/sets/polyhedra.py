@@ -143,7 +143,7 @@ class Polyhedron(ConvexSet):
         flat = self._flat(np.zeros(self.dim))
         if not flat.equations.any():
             return None
-        rows = sp.csr_array(self.rows)
+        rows = sp.csr_array(self.rows, copy=True)
         rows.eliminate_zeros()
         fix = np.flatnonzero(flat.equations & (np.diff(rows.indptr) == 1))
         fixed = rows[fix].indices
