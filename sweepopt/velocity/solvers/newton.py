@@ -122,7 +122,7 @@ class _Iteration:
         scale = 1 / np.sqrt(T)
         smallest = math.inf
         for iteration in range(self._max_iter):
-            w, size_z = self._M.apply(z, q, NEGLIGIBLE)
+            w, size_z = self._M.apply(z, q, NEGLIGIBLE if self._proved else math.inf)
             v = w - T * z
             nearest = C.project(v)
             residual = nearest - w
