@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Array
+from sweepopt.errors import IndefiniteError
 from sweepopt.linalg import Elimination, Factor, is_solid
 from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade, by_solve, refined
@@ -85,8 +87,9 @@ class StateVelocity:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
         none = np.zeros(0, dtype=int)
         self._plan, self._contact = plan, none if plan.contact is None else plan.contact
-        self._exchange: list[Any] = []
-        self._on_exchanged: dict[bool, Inclusion] = {}
+        self._regular = True
+        self._exchange: tuple[Any, Any] = None, None  # the last H, and the inclusion with it
+        self._on_condensed: Inclusion | None = None
         self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
         self.forget()
 
@@ -150,9 +153,12 @@ class StateVelocity:
 
     def _by_return_mapping(self, of: Instance) -> Velocity | None:
         """By return mapping, and certified; None where alpha' = |p'| is not certain."""
-        inclusion = self._inclusion(of, False)
         if not of.S.exchanges(of.force[self._contact]):
             return None
+        if self._on_condensed is None:
+            H = exchanged(self._M, Selection(self._contact, of.S, None))
+            self._on_condensed = self._on_all if H is None else self._exchanged(H)
+        inclusion = self._on_condensed
         if inclusion.rests(of, self._tol):
             return at_rest(of.q)
         if self._mapping is None:
@@ -169,17 +175,24 @@ class StateVelocity:
         return velocity._replace(solver="cones", attempts=1, w=self._cones.w + of.c)
 
     def _inclusion(self, of: Instance, few: bool) -> Inclusion:
-        """Of M, or of M + H where the set exchanges stiffness (`ConvexSet.exchange`)."""
-        if not self._exchange:
-            self._exchange = [exchanged(self._M, Selection(of.unknowns, of.S, None))]
-        (H,) = self._exchange
+        """Of M; of M + H where M is singular and the set exchanges stiffness."""
+        if self._regular:
+            with suppress(IndefiniteError):
+                return self._on_few if few else self._on_all
+            self._regular = False
+        H = exchanged(self._M, Selection(of.unknowns, of.S, None))
         if H is None or not of.S.exchanges(of.force[of.unknowns]):
             return self._on_few if few else self._on_all
-        if few not in self._on_exchanged:
+        return self._exchanged(H, few)
+
+    def _exchanged(self, H: Any, few: bool = False) -> Any:
+        """Of M + H, `ConvexSet.exchange` of a set."""
+        key = few, H.diagonal().tobytes()
+        if key != self._exchange[0]:
             M, order, (A, B, gamma) = self._M + H, self._metric.order, self._data
             metric = Elimination(M, self._contact, order) if few else Factor(M, order=order)
-            self._on_exchanged[few] = Inclusion(metric, None if A is None else A + H, B, gamma)
-        return self._on_exchanged[few]
+            self._exchange = key, Inclusion(metric, None if A is None else A + H, B, gamma)
+        return self._exchange[1]
 
     @cached_property
     def _on_all(self) -> Inclusion:
