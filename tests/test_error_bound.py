@@ -867,3 +867,12 @@ def test_an_error_is_delivered_from_one_step_and_many_breakpoints(steps):
     assert sol.error_bound() <= 0.1
     exact = so.solve(process, steps=sol.t, scheme="exact")
     assert np.sqrt(2.0) * np.abs(sol.u - exact.u).max() <= sol.error_bound()
+
+
+@pytest.mark.parametrize("scheme", ["implicit-euler", "sdirk2"])
+def test_breakpoints_that_miss_a_grid_time_by_rounding_are_at_it(scheme):
+    bounds = []
+    for b in (2 * (0.1 / 20), np.nextafter(2 * (0.1 / 20), 1)):
+        process = block(so.Separable([(so.Table([0.0, b, 0.1], [0.0, 3.0, -1.0]), 1.0)]))
+        bounds.append(so.solve(process, t_end=0.1, steps=20, scheme=scheme).error_bound())
+    assert bounds[1] == pytest.approx(bounds[0], rel=0.1)

@@ -49,7 +49,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Array
+from sweepopt.checks import TIME_SLACK, Array
 from sweepopt.errors import PathError, Status
 from sweepopt.integrate import (
     MEMORY,
@@ -173,7 +173,8 @@ def error_bound(
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
-    t = t if stiff else divided(t, np.full(len(t) - 1, 2))
+    long = np.diff(t) > TIME_SLACK * np.abs(t).max()  # others end at a node but for rounding
+    t = t if stiff else divided(t, 1 + long)
     ends = norms.A(run.u)
     largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
