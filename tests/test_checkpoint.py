@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from cases import SQUARE, block, refuses, slow
 from processes import started
 from test_reduction import process as chain
@@ -551,3 +552,12 @@ def test_a_checkpoint_that_can_have_no_lock_is_refused_by_name(tmp_path):
     process = so.SweepingProcess(1.0, None, so.Box(-1, 1), 0)
     with pytest.raises(so.CheckpointError, match=r"no file can be made beside .*shorter name"):
         so.solve(process, t_end=1.0, steps=3, checkpoint=tmp_path / ("a" * 248 + ".npz"))
+
+
+def test_files_of_sparse_problems_are_told_by_the_same_hashes_as_ever():
+    # matrices were kept by columns once; those of files from then shall be known again
+    eye = sp.eye_array(2)
+    C = so.Polyhedron(sp.vstack([eye, -eye]), np.ones(4))
+    hashes = fingerprint(so.SweepingProcess(eye, eye, C, [0.0, 0.0]), np.array([0.0, 1.0]))
+    expected = {"A": "209369404f28c7f2", "B": "209369404f28c7f2", "C(t)": "0b2481eed42e2a4c"}
+    assert {name: hashes[name][:16] for name in expected} == expected
