@@ -19,7 +19,7 @@ from sweepopt.errors import InputError, note, shown, suggestion
 F = TypeVar("F")
 R = TypeVar("R")
 Array: TypeAlias = np.ndarray
-Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
+Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csr_array, as `matrix` returns them
 
 HUGE = 1e75
 """Numbers beyond this overflow when a few of them are multiplied."""
@@ -28,7 +28,7 @@ TIME_SLACK = 1e-12
 MEMORY = 4e9
 """Bytes that the kept states of a run may take if nobody says more."""
 LONGEST = 10**8
-"""Unknowns, or steps of a run, whose times and statistics alone are gigabytes."""
+"""Unknowns, or steps of a run, at most: vectors, or times and statistics, alone take gigabytes."""
 
 
 def meaning(**arguments: str) -> Callable[[F], F]:
@@ -265,7 +265,9 @@ def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     size = count("dim", dim)
     if size > LONGEST:
-        raise InputError(f"dim is {shown(size)}, more than {LONGEST:.0e}; no vector fits in memory")
+        raise InputError(
+            f"dim is {shown(size)}, more than {LONGEST:.0e}; its vectors fill the memory"
+        )
     return size
 
 
