@@ -285,7 +285,7 @@ def test_what_a_users_function_raises_goes_through_with_the_time(C, function):
 def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work():
     n = 1000
     A, at = np.diag(np.linspace(1.0, 2.0, n)), np.arange(n)
-    with pytest.warns(so.SweepoptWarning, match=r"A is dense, 8 MB .* scipy.sparse.csc_array\(A\)"):
+    with pytest.warns(so.SweepoptWarning, match=r"A is dense, 8 MB .* scipy.sparse.csr_array\(A\)"):
         dense = pulled(
             A=A,
             B=None,

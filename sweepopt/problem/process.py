@@ -596,7 +596,7 @@ def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
         if isinstance(M, np.ndarray) and len(M) >= MANY and np.count_nonzero(M) < M.size / 10:
             warn(
                 f"{name} is dense, {M.nbytes / 1e6:.0f} MB of which most are zeros: pass "
-                f"scipy.sparse.csc_array({name}), and a step takes a small part of the time",
+                f"scipy.sparse.csr_array({name}), and a step takes a small part of the time",
                 SweepoptWarning,
             )
     one = next(iter(given.values()))
