@@ -87,8 +87,8 @@ class StateVelocity:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
         none = np.zeros(0, dtype=int)
         self._plan, self._contact = plan, none if plan.contact is None else plan.contact
-        self._regular = True
-        self._exchange: tuple[Any, Any] = None, None  # the last H, and the inclusion with it
+        self._regular = True  # M, as far as is known
+        self._exchange: tuple[Any, Any] = None, None  # of the last M + H: its key, the inclusion
         self._on_condensed: Inclusion | None = None
         self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
         self.forget()
@@ -157,7 +157,7 @@ class StateVelocity:
             return None
         if self._on_condensed is None:
             H = exchanged(self._M, Selection(self._contact, of.S, None))
-            self._on_condensed = self._on_all if H is None else self._exchanged(H)
+            self._on_condensed = self._on_all if H is None else self._inclusion_of_sum(H)
         inclusion = self._on_condensed
         if inclusion.rests(of, self._tol):
             return at_rest(of.q)
@@ -183,10 +183,10 @@ class StateVelocity:
         H = exchanged(self._M, Selection(of.unknowns, of.S, None))
         if H is None or not of.S.exchanges(of.force[of.unknowns]):
             return self._on_few if few else self._on_all
-        return self._exchanged(H, few)
+        return self._inclusion_of_sum(H, few)
 
-    def _exchanged(self, H: Any, few: bool = False) -> Any:
-        """Of M + H, `ConvexSet.exchange` of a set."""
+    def _inclusion_of_sum(self, H: Any, few: bool = False) -> Any:
+        """Of M + H, with H of `ConvexSet.exchange`; the last one is kept."""
         key = few, H.diagonal().tobytes()
         if key != self._exchange[0]:
             M, order, (A, B, gamma) = self._M + H, self._metric.order, self._data
