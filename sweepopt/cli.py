@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from sweepopt import __version__
 from sweepopt.checks import count
 from sweepopt.display import as_lines
-from sweepopt.driver import planned, run_over
+from sweepopt.driver import finish, planned
 from sweepopt.errors import (
     Status,
     SweepoptError,
@@ -248,17 +248,18 @@ def _run(options: argparse.Namespace) -> int:
     solving = SolveOptions(
         *(scene.t_end, scene.steps, scene.scheme, scene.solver, scene.tol, scene.path),
         on_failure="stop",
+        progress=not options.no_progress,
     )
-    grid = planned(process, solving)
+    run = planned(process, solving)
     norms = None
     if options.bound:  # what no bound is known of is refused before the run
-        require_bound(process, grid.plan)
+        require_bound(process, run.plan)
         norms = Norms(process)
-    _announce(scene, grid.plan)
+    _announce(scene, run.plan)
 
     text = path.read_text(encoding="utf-8")
     text += "".join(f"\n# changed: {change}" for change in scene.changes)
-    solution = run_over(process, solving, grid, progress=not options.no_progress)
+    solution = finish(process, solving, run)
     seconds, code = clock.perf_counter() - started, int(not solution.success)
     if len(solution.steps):
         report = output.Report(scene, solution, name=path.stem, text=text, seconds=seconds)

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import Array, meaning, number, takes, with_checks
+from sweepopt.checks import Array, meaning, number, with_checks
 from sweepopt.errors import (
     AccuracyError,
     InputError,
@@ -32,7 +32,6 @@ from sweepopt.integrate import (
     Callback,
     Checkpoint,
     CheckpointWriter,
-    Grid,
     Pass,
     Run,
     SaveFunction,
@@ -201,19 +200,20 @@ def solve(
     (True, 0.0, 3.063)
     """
     options = SolveOptions(
-        t_end, steps, scheme, solver, tol, path, save, memory, on_failure, on_unstable
+        *(t_end, steps, scheme, solver, tol, path, save, memory, on_failure, on_unstable),
+        callback=callback,
+        progress=progress,
     )
     process = sweeping(process)
-    _check_watchers(callback, progress)
     adaptive = isinstance(steps, Adaptive)
     if error is None and not adaptive:
-        return _run(process, options, callback, progress, checkpoint)
+        return _run(process, options, checkpoint)
     if checkpoint is not None:
         name = "Adaptive" if adaptive else "error="
         raise InputError(f"checkpoint= is for one run, but {name} takes several; give steps")
     if error is None:
-        return _adapt(process, options, callback, progress)
-    return _refine(process, options, error, callback, progress)
+        return _adapt(process, options)
+    return _refine(process, options, error)
 
 
 def resume(
@@ -273,10 +273,10 @@ def resume(
     """
     if save is not None and not callable(save):
         raise InputError(f"save must be a function of (t, u, z) or left out, got {shown(save)}")
-    _check_watchers(callback, progress)
     stored = newest(Checkpoint(path))
     process = sweeping(process)
     options = SolveOptions.from_json(stored.record["options"])
+    options = replace(options, callback=callback, progress=progress)
     times, _ = time_grid(options.t_end, options.steps)
     require_same_problem(stored, process, times)
     if (stored.record["options"]["save"] == {"function": True}) != callable(save):
@@ -284,23 +284,10 @@ def resume(
         raise InputError(f"save: the run in {stored.file} {need} function of (t, u, z) as save")
     options = options if save is None else replace(options, save=save)
     checkpoint = Checkpoint(path, **stored.record["checkpoint"])
-    return _run(process, options, callback, progress, checkpoint, stored)
+    return _run(process, options, checkpoint, stored)
 
 
-def _check_watchers(callback: Any, progress: Any) -> None:
-    if callback is not None:
-        takes("callback", callback, "step")
-    if not isinstance(progress, bool):
-        raise InputError(f"progress must be True or False, got {shown(progress)}")
-
-
-def _refine(
-    process: SweepingProcess,
-    options: SolveOptions,
-    error: float,
-    callback: Callback | None,
-    progress: bool,
-) -> Solution:
+def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> Solution:
     """The run whose guaranteed error bound is at most `error`.
 
     Its steps are adaptive, within those that are given, and their tolerance is reduced until the
@@ -320,7 +307,7 @@ def _refine(
         )
     # the bound has what an implicit scheme does in long steps; an explicit one may blow up
     unstable = options.on_unstable if scheme.explicit else "ignore"
-    run, finished = _passes(process, replace(options, on_unstable=unstable), callback, progress)
+    run, finished = _passes(process, replace(options, on_unstable=unstable))
     tol, cause, times = error, "", with_breakpoints(process, times)
     sol = run(times, options.tol)
     sol = replace(sol, passes=(Pass(len(sol.stats), math.nan, float(sol.stats["seconds"].sum())),))
@@ -356,16 +343,14 @@ def _guaranteed_bound(solution: Solution) -> ErrorBound:
     return bound
 
 
-def _adapt(
-    process: SweepingProcess, options: SolveOptions, callback: Callback | None, progress: bool
-) -> Solution:
+def _adapt(process: SweepingProcess, options: SolveOptions) -> Solution:
     """Runs on better and better grids, until the estimated error is at most the tolerance."""
     scheme = options.tableau(process)
     times = first_grid(options.steps, process, options.times_to_meet(), scheme)
     saving(options.save, times, process.dim, options.memory)
     # errors are estimated, so no scheme is warned of
     asked = replace(options, scheme=scheme.name, on_unstable="ignore")
-    run, finished = _passes(process, asked, callback, progress)
+    run, finished = _passes(process, asked)
     sol, cause = adapt(run, process, options.steps, times)
     sol = finished(sol)
     if not (cause and sol.success):
@@ -378,7 +363,7 @@ def _adapt(
 
 
 def _passes(
-    process: SweepingProcess, options: SolveOptions, callback: Callback | None, progress: bool
+    process: SweepingProcess, options: SolveOptions
 ) -> tuple[Callable[..., Solution], Callable[[Solution], Solution]]:
     """A run as a function of its times and tol, with all states; and what makes the last of them.
 
@@ -387,17 +372,17 @@ def _passes(
     """
     calls = count()
 
-    def run(times: Array, tol: float, save: Any = None, called: Any = None) -> Solution:
-        chosen = replace(options, t_end=None, steps=times, tol=min(tol, options.tol), save=save)
+    def run(times: Array, tol: float, save: Any = None, callback: Any = None) -> Solution:
+        chosen = replace(options, t_end=None, steps=times, tol=min(tol, options.tol))
         with warnings.catch_warnings():
             if next(calls):
                 warnings.simplefilter("ignore", SweepoptWarning)
-            return _run(process, chosen, called, progress)
+            return _run(process, replace(chosen, save=save, callback=callback))
 
     def finished(sol: Solution) -> Solution:
-        if not sol.success or (options.save is None and callback is None):
+        if not sol.success or (options.save is None and options.callback is None):
             return sol
-        again = run(sol.t, sol.plan.tol, options.save, callback)
+        again = run(sol.t, sol.plan.tol, options.save, options.callback)
         return replace(again, passes=sol.passes)
 
     return run, finished
@@ -406,51 +391,57 @@ def _passes(
 def _run(
     process: SweepingProcess,
     options: SolveOptions,
-    callback: Callback | None = None,
-    progress: bool = False,
     checkpoint: Any = None,
     stored: StoredRun | None = None,
 ) -> Solution:
     """Check what remains to be checked, and run."""
-    grid = planned(process, options)
-    with checkpoint_writer(checkpoint, process, grid, options, stored) as writer:
-        return run_over(process, options, grid, callback, progress, writer)
+    run = planned(process, options)
+    with checkpoint_writer(checkpoint, process, run, options, stored) as writer:
+        return finish(process, options, run, writer)
 
 
-def run_over(
+def planned(process: SweepingProcess, options: SolveOptions) -> Run:
+    """The run before its first step; C(t) is checked at all times that are asked for."""
+    times, mus = time_grid(options.t_end, options.steps)
+    plan = options.plan(process, options.tableau(process), times, mus)
+    saved = saving(options.save, times, plan.entering, options.memory)
+    outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
+    process.check_jumps(float(times[0]), float(times[-1]))
+    check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
+    if options.on_unstable != "ignore":
+        check_resolution(process, plan, times)
+    return Run(times, mus, plan, saved, plan.process_of(process).u0)
+
+
+def finish(
     process: SweepingProcess,
     options: SolveOptions,
-    grid: Grid,
-    callback: Callback | None = None,
-    progress: bool = False,
+    run: Run,
     writer: CheckpointWriter | None = None,
 ) -> Solution:
-    """Move u along the grid, and make a solution of the run."""
-    recorded = writer.recorded if writer else []
-    few, saved = grid.plan.process_of(process), grid.saving
-    run = Run(grid, few.u0)
+    """Take the steps of a run, and make a solution of it."""
+    saved = run.saving
     files = StateFiles(saved.path, process.u0) if saved.path else None
     watchers: list[Callable[[StepInfo], Any]] = [files.put] if files else []
     if record := saved.function:
-        watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
-    if callback:
-        watchers.append(callback)
+        watchers.append(lambda step: run.recorded.append(record(step.t, step.u, step.velocity)))
+    if options.callback:
+        watchers.append(options.callback)
     succeeded = False
     try:
-        with progress_bar(progress, len(grid.mus), writer.done if writer else 0) as advance:
-            seen = advance or watchers
-            observe = observer(advance, watchers, grid.plan, grid.times) if seen else None
-            if writer:
-                writer.begin(run)  # from where a stored one is
-            integrate(few, grid.plan, run, observe, writer)
+        if writer:
+            writer.begin(run)  # from where a stored one is
+        with progress_bar(options.progress, run) as advance:
+            observe = observer(advance, watchers, run) if advance or watchers else None
+            integrate(process, run, observe, writer)
             failed = run.status in (Status.INEXACT, Status.SWITCHING)
             succeeded = not failed or options.on_failure == "stop"
     finally:
-        solution = _solution(process, run, files, recorded)
+        solution = _solution(process, run, files)
         if files:
             files.close(solution, succeeded)
     if not succeeded:
-        t, u = float(grid.times[run.done]), grid.plan.state(run.u)
+        t, u = float(run.times[run.done]), run.plan.state(run.u)
         raise StepError(run.cause, t=t, step=run.done, u=u, certificate=run.relative)
     if files and files.failure:
         raise SaveError(
@@ -462,19 +453,6 @@ def run_over(
     return solution
 
 
-def planned(process: SweepingProcess, options: SolveOptions) -> Grid:
-    """The grid and its plan; C(t) is checked at all times that are asked for."""
-    times, mus = time_grid(options.t_end, options.steps)
-    plan = options.plan(process, options.tableau(process), times, mus)
-    saved = saving(options.save, times, plan.entering, options.memory)
-    outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
-    process.check_jumps(float(times[0]), float(times[-1]))
-    check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
-    if options.on_unstable != "ignore":
-        check_resolution(process, plan, times)
-    return Grid(times, mus, plan, saved)
-
-
 def _nearest(process: SweepingProcess, plan: Plan) -> Callable[[Array, ConvexSet], Array]:
     """The projection in the metric of A^-1 by the plan's solver, where the set has no fast one."""
     M = process.metric
@@ -482,26 +460,20 @@ def _nearest(process: SweepingProcess, plan: Plan) -> Callable[[Array, ConvexSet
     return lambda w, C: w + M.M @ velocity(w, C).z
 
 
-def _solution(
-    process: SweepingProcess,
-    run: Run,
-    files: StateFiles | None,
-    recorded: list[Any],
-) -> Solution:
+def _solution(process: SweepingProcess, run: Run, files: StateFiles | None) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
-    grid, states = run.grid, run.states()
-    plan, (steps, u, velocity) = grid.plan, states
+    plan, (steps, u, velocity) = run.plan, run.states()
     states = States(steps, lambda i: plan.state(u(i)), lambda i: plan.velocity(velocity(i)))
     if files:
         states = files.states()
     return Solution(
         process=process,
         plan=plan,
-        t=grid.times[np.append(0, states.steps + 1)],
+        t=run.times[np.append(0, states.steps + 1)],
         states=states,
         statistics=run.statistics(),
         status=run.status,
         cause=f"{run.divided()} {run.cause}".strip(),
         trajectory=run.exact,
-        recorded=recorded if grid.saving.function else None,
+        recorded=run.recorded if run.saving.function else None,
     )

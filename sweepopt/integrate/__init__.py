@@ -26,24 +26,18 @@ from sweepopt.integrate.grid import (
     divided,
     time_grid,
 )
-from sweepopt.integrate.loop import (
-    Callback,
-    Observer,
-    SaveFunction,
-    StepInfo,
-    integrate,
-    observer,
-    progress_bar,
-)
+from sweepopt.integrate.loop import integrate, observer, progress_bar
 from sweepopt.integrate.options import SolveOptions
 from sweepopt.integrate.record import (
     ROW,
-    Grid,
+    Callback,
     Index,
     Pass,
     Run,
+    SaveFunction,
     States,
     Statistics,
+    StepInfo,
     saving,
 )
 from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler

@@ -49,7 +49,7 @@ from sweepopt.sets import ConvexSet, Polyhedron
 
 if TYPE_CHECKING:
     from sweepopt.integrate.options import SolveOptions
-    from sweepopt.integrate.record import Grid, Run
+    from sweepopt.integrate.record import Run
 
 SCHEMA = 6  # of the file: one more for each change of what it holds
 
@@ -204,7 +204,7 @@ def _versions() -> dict[str, str]:
 def checkpoint_writer(
     asked: Any,
     process: SweepingProcess,
-    grid: Grid,
+    run: Run,
     options: SolveOptions,
     stored: StoredRun | None,
 ) -> Iterator[CheckpointWriter | None]:
@@ -222,23 +222,23 @@ def checkpoint_writer(
     if not isinstance(asked, Checkpoint):
         asked = Checkpoint(writable("checkpoint", asked))
     checkpoint: Checkpoint = asked
-    if grid.plan.scheme.exact:
+    if run.plan.scheme.exact:
         raise InputError("checkpoint= is for steps; scheme 'exact' computes the run at once")
-    if grid.saving.path:
+    if run.saving.path:
         raise InputError(
             "checkpoint= cannot continue a NetCDF file; keep the states in memory, save=k, or in "
             "a file that save=f(t, u, z) writes"
         )
-    if stored and stored.record["plan"] != str(grid.plan):
+    if stored and stored.record["plan"] != str(run.plan):
         raise InputError(
             f"{stored.file} is of a run that was planned differently:\n{stored.record['plan']}\n"
-            f"but now\n{grid.plan}"
+            f"but now\n{run.plan}"
         )
     about = {
         "schema": SCHEMA,
         "versions": _versions(),
-        "problem": stored.record["problem"] if stored else fingerprint(process, grid.times),
-        "plan": str(grid.plan),
+        "problem": stored.record["problem"] if stored else fingerprint(process, run.times),
+        "plan": str(run.plan),
         "options": options.to_json(),
         "checkpoint": {"steps": checkpoint.steps, "seconds": checkpoint.seconds},
     }
@@ -259,8 +259,6 @@ class CheckpointWriter:
         What is known of the run beforehand, in terms of JSON.
     stored : StoredRun or None
         The run that is continued.
-    recorded : list
-        What a function recorded so far; whoever records appends to it.
     written : float
         When the last file was, by a clock.
     """
@@ -268,13 +266,7 @@ class CheckpointWriter:
     checkpoint: Checkpoint
     about: dict[str, Any]
     stored: StoredRun | None
-    recorded: list[Any] = field(default_factory=list)
     written: float = field(default_factory=clock.monotonic)
-
-    @property
-    def done(self) -> int:
-        """How many steps an earlier run has done."""
-        return self.stored.done if self.stored else 0
 
     def begin(self, run: Run) -> None:
         """Write down the start of a run, or take it to where the stored one is."""
@@ -282,7 +274,7 @@ class CheckpointWriter:
         if stored:
             try:
                 run.restore(stored.record["run"], stored.arrays)
-                self.recorded[:] = decoded(stored.record["recorded"])
+                run.recorded[:] = decoded(stored.record["recorded"])
             except (KeyError, ValueError, TypeError, IndexError) as error:
                 raise DamagedFileError(f"{stored.file} does not fit together: {error}") from error
         # in the place of a damaged one too, which must not take that of the whole one before it
@@ -291,7 +283,7 @@ class CheckpointWriter:
     def __call__(self, run: Run) -> bool:
         """Write the run down if it is time; whether a run can be continued from this step."""
         if run.done == 1:
-            self._records()  # says so now if they cannot be stored
+            _records(run)  # says so now if they cannot be stored
         last = run.done == run.steps
         if run.done % (self.checkpoint.steps or -(-run.steps // 100)) and not last:
             return False
@@ -302,15 +294,6 @@ class CheckpointWriter:
             self.checkpoint.previous.unlink(missing_ok=True)
         return True
 
-    def _records(self) -> Any:
-        try:
-            return encoded(self.recorded)
-        except TypeError as error:
-            raise InputError(
-                "save: with a checkpoint= a function returns numbers or arrays, text, or tuples, "
-                f"lists and dicts of them; it returned {shown(self.recorded[-1])}"
-            ) from error
-
     def _write(self, run: Run, previous: Path | None) -> None:
         state, arrays = run.store()
         file, record = self.checkpoint.file, {**self.about, "run": state}
@@ -319,7 +302,7 @@ class CheckpointWriter:
                 remove_parts(file)
                 if not self.stored:
                     self.checkpoint.previous.unlink(missing_ok=True)  # that of another run
-            write_npz(file, {**record, "recorded": self._records()}, arrays, previous)
+            write_npz(file, {**record, "recorded": _records(run)}, arrays, previous)
         except OSError as error:
             older = file.exists() or self.checkpoint.previous.exists()
             before = f"the one before is whole: resume {file}" if older else "there is none before"
@@ -327,6 +310,16 @@ class CheckpointWriter:
                 f"the checkpoint {file} cannot be replaced after step {run.done} "
                 f"({error.strerror or error}); {before}"
             ) from error
+
+
+def _records(run: Run) -> Any:
+    try:
+        return encoded(run.recorded)
+    except TypeError as error:
+        raise InputError(
+            "save: with a checkpoint= a function returns numbers or arrays, text, or tuples, "
+            f"lists and dicts of them; it returned {shown(run.recorded[-1])}"
+        ) from error
 
 
 def _require_free(checkpoint: Checkpoint) -> None:

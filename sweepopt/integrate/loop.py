@@ -6,17 +6,16 @@ t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg import blas
 
 from sweepopt.checks import HUGE, Array
-from sweepopt.display import by_parts
 from sweepopt.errors import InputError, Status, brought_by, note, result_of, shown
 from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.grid import by_steps
-from sweepopt.integrate.record import Run, Step
+from sweepopt.integrate.record import Run, Step, StepInfo
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import (
     INDEFINITE,
@@ -36,7 +35,6 @@ Restarts = Callable[[Run], bool]
 
 def integrate(
     process: SweepingProcess,
-    plan: Plan,
     run: Run,
     observer: Observer | None = None,
     restarts: Restarts | None = None,
@@ -46,18 +44,13 @@ def integrate(
     A step with breakpoints of the plan in it, or that misses the tolerance, is taken in parts; one
     that misses it all the same ends the run. Ctrl-C ends it too, also in `observer`: the run has
     the steps that are done.
-
-    Parameters
-    ----------
-    process : SweepingProcess
-        That of the unknowns which enter the steps (`Plan.process_of`).
-    plan : Plan
     """
-    mus, steps = run.grid.mus, run.steps
-    starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
+    plan, steps = run.plan, run.steps
+    process = plan.process_of(process)
+    starts, sizes = run.times.data, run.mus.data  # these give floats of Python
     velocities = Velocities(process, plan)
-    take = exact_steps(process, plan, run) if plan.scheme.exact else velocities.step
-    within = by_steps(plan.breakpoints, run.grid.times)
+    take = exact_steps(process, run) if plan.scheme.exact else velocities.step
+    within = by_steps(plan.breakpoints, run.times)
     limit = _largest_state(process, plan.scheme)
     u, compensation = run.u, run.compensation
     try:
@@ -136,38 +129,8 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
     return f"{best}{tried}. {likely}; loosen tol, take smaller steps or another solver"
 
 
-class StepInfo(NamedTuple):
-    """What a callback sees after a step.
-
-    Attributes
-    ----------
-    step : int
-        Its index.
-    t : float
-        Its end.
-    u : ndarray, shape (dim,)
-        The state at t.
-    velocity : ndarray, shape (dim,)
-    certificate : float
-        As in `Solution.stats`: the worst of the programs that the step solved.
-    """
-
-    step: int
-    t: float
-    u: Array
-    velocity: Array
-    certificate: float
-
-    def __repr__(self) -> str:
-        return by_parts(self)
-
-
-Callback = Callable[[StepInfo], "bool | None"]
-SaveFunction = Callable[[float, Array, Array], Any]
-
-
 @contextmanager
-def progress_bar(visible: bool, steps: int, done: int) -> Iterator[Callable[[], Any] | None]:
+def progress_bar(visible: bool, run: Run) -> Iterator[Callable[[], Any] | None]:
     """What moves a bar by a step; None where it shall not be seen.
 
     Raises
@@ -180,15 +143,14 @@ def progress_bar(visible: bool, steps: int, done: int) -> Iterator[Callable[[], 
         return
     with brought_by("fem"):
         from tqdm.auto import tqdm
-    with tqdm(total=steps, initial=done, unit="step") as bar:
+    with tqdm(total=run.steps, initial=run.done, unit="step") as bar:
         yield bar.update
 
 
 def observer(
     advance: Callable[[], Any] | None,
     watchers: Sequence[Callable[[StepInfo], Any]],
-    plan: Plan,
-    times: Array,
+    run: Run,
 ) -> Observer:
     """What the loop calls after each step: a bar, then the watchers, who see all unknowns.
 
@@ -200,8 +162,8 @@ def observer(
             advance()
         if not watchers:
             return False
-        u, z = plan.state(u).copy(), plan.velocity(z).copy()
-        step = StepInfo(i, float(times[i + 1]), u, z, certificate)
+        u, z = run.plan.state(u).copy(), run.plan.velocity(z).copy()
+        step = StepInfo(i, float(run.times[i + 1]), u, z, certificate)
         for watcher in watchers:
             answer = result_of(watcher, step, f"callback or save, at t = {step.t:g}")
             try:

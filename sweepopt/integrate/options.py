@@ -14,6 +14,7 @@ from sweepopt.checks import (
     axes,
     choice,
     number,
+    takes,
     tolerance,
     vector,
 )
@@ -24,6 +25,7 @@ from sweepopt.integrate.grid import (
     evaluation_times,
     meeting_breakpoints,
 )
+from sweepopt.integrate.record import Callback
 from sweepopt.integrate.schemes import AUTOMATIC, Scheme, choose
 from sweepopt.io import decoded, encoded
 from sweepopt.loads import Slope, Table
@@ -45,6 +47,8 @@ class SolveOptions:
     memory: float = MEMORY
     on_failure: str = "raise"
     on_unstable: str = "raise"
+    callback: Callback | None = None
+    progress: bool = False
 
     def __post_init__(self) -> None:
         choice("path", self.path, PATHS)
@@ -57,6 +61,10 @@ class SolveOptions:
             raise InputError(f"scheme {shown(self.scheme)}: Adaptive goes into steps")
         if self.steps is Adaptive:
             raise InputError("steps must be an object, got a class; call it: so.Adaptive(tol)")
+        if self.callback is not None:
+            takes("callback", self.callback, "step")
+        if not isinstance(self.progress, bool):
+            raise InputError(f"progress must be True or False, got {shown(self.progress)}")
 
     def times_to_meet(self) -> Array:
         """What adaptive steps contain: 0, the times that are to be saved, and the end."""
@@ -104,7 +112,7 @@ class SolveOptions:
         return meeting_breakpoints(process, plan, times, histories)
 
     def to_json(self) -> dict[str, Any]:
-        """The options in terms of JSON.
+        """The options but for what watches the run, in terms of JSON.
 
         Raises
         ------
@@ -121,7 +129,8 @@ class SolveOptions:
             return encoded(value if isinstance(value, str) else np.asarray(value)[()])
 
         try:
-            return {name: plain(value) for name, value in vars(self).items()}
+            options = [one for one in vars(self).items() if one[0] not in ("callback", "progress")]
+            return {name: plain(value) for name, value in options}
         except TypeError as error:
             raise InputError(
                 "with checkpoint= options are written to a file: a solver must be one of the "

@@ -124,21 +124,34 @@ class Pass(NamedTuple):
     seconds: float
 
 
-class Grid(NamedTuple):
-    """The steps of a run: when, by which plan, and what is kept of them.
+class StepInfo(NamedTuple):
+    """What a callback sees after a step.
 
     Attributes
     ----------
-    times : ndarray, shape (n+1,)
-    mus : ndarray, shape (n,)
-    plan : Plan
-    saving : Saving
+    step : int
+        Its index.
+    t : float
+        Its end.
+    u : ndarray, shape (dim,)
+        The state at t.
+    velocity : ndarray, shape (dim,)
+    certificate : float
+        As in `Solution.stats`: the worst of the programs that the step solved.
     """
 
-    times: Array
-    mus: Array
-    plan: Plan
-    saving: Saving
+    step: int
+    t: float
+    u: Array
+    velocity: Array
+    certificate: float
+
+    def __repr__(self) -> str:
+        return by_parts(self)
+
+
+Callback = Callable[[StepInfo], "bool | None"]
+SaveFunction = Callable[[float, Array, Array], Any]
 
 
 class Step(NamedTuple):
@@ -165,11 +178,18 @@ class Run:
 
     Parameters
     ----------
-    grid : Grid
+    times : ndarray, shape (n+1,)
+    mus : ndarray, shape (n,)
+        The steps between them.
+    plan : Plan
+    saving : Saving
     u0 : ndarray, shape (dim,)
+        Of the unknowns that enter the steps.
 
     Attributes
     ----------
+    recorded : list
+        What the function of `saving` returned for each step.
     status : Status
     cause : str
         Which step failed and why.
@@ -179,12 +199,14 @@ class Run:
         The dense trajectory of the scheme "exact".
     """
 
-    def __init__(self, grid: Grid, u0: Array) -> None:
-        self.grid, self._saved_steps = grid, grid.saving.steps
+    def __init__(self, times: Array, mus: Array, plan: Plan, saving: Saving, u0: Array) -> None:
+        self.times, self.mus, self.plan, self.saving = times, mus, plan, saving
+        self.recorded: list[Any] = []
+        self._saved_steps = saving.steps
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.exact: Trajectory | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
-        self._rows, self._times = np.full(len(grid.mus), 0, ROW), grid.times.data
+        self._rows, self._ends = np.full(len(mus), 0, ROW), times.data  # gives floats of Python
         self._solvers: dict[str, int] = {}
         self._nodes = np.zeros((self._saved_steps.size + 1, u0.size))
         self._velocities = np.zeros((self._saved_steps.size, u0.size))
@@ -218,8 +240,15 @@ class Run:
         i, k, *_ = self._last
         z, certificate, relative, solver, iterations, attempts, _ = velocity
         number = self._solvers.setdefault(solver, len(self._solvers))
-        end = self._times[i + 1]
-        self._rows[i] = end, seconds, iterations, attempts, certificate, relative, number
+        self._rows[i] = (
+            self._ends[i + 1],
+            seconds,
+            iterations,
+            attempts,
+            certificate,
+            relative,
+            number,
+        )
         if i == self._saved_steps[k]:
             self._nodes[k + 1], self._velocities[k] = u, z
             k += 1
@@ -246,7 +275,7 @@ class Run:
         """
         parts = [name.rpartition("/")[2].isdigit() for name in self._solvers]  # "osqp/4"
         in_parts = np.array(parts, dtype=bool)[self._rows["solver"][: self.done]]
-        planned = np.searchsorted(self.grid.times, self.grid.plan.breakpoints) - 1
+        planned = np.searchsorted(self.times, self.plan.breakpoints) - 1
         steps = np.setdiff1d(np.flatnonzero(in_parts), planned).size
         if not steps:
             return ""

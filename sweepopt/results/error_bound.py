@@ -54,7 +54,6 @@ from sweepopt.errors import PathError, Status
 from sweepopt.integrate import (
     MEMORY,
     SCHEMES,
-    Grid,
     Run,
     Velocities,
     combination,
@@ -429,10 +428,10 @@ def companion(
 def nodes_of(process: SweepingProcess, plan: Plan, t: Array) -> Nodes:
     """All nodes of a run on the grid t; where its programs miss tol, their residual is bounded."""
     times, mus = time_grid(None, t)
-    grid = Grid(times, mus, plan, saving(None, times, process.dim, MEMORY))
+    saved = saving(None, times, process.dim, MEMORY)
     for tol in (plan.tol, math.inf):
-        run = Run(grid, process.u0)
-        integrate(process, replace(plan, tol=tol), run)
+        run = Run(times, mus, replace(plan, tol=tol), saved, process.u0)
+        integrate(process, run)
         if run.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if run.done == len(mus):

@@ -183,9 +183,7 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
     return motion, first_root(p.with_weights(signs[changing]), face.orders[changing])
 
 
-def exact_steps(
-    process: SweepingProcess, plan: Plan, run: Run
-) -> Callable[[float, float, Array], Step | None]:
+def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, Array], Step | None]:
     """What takes the next step along the exact trajectory, of length mu from t, u; None where the
     switches accumulate.
 
@@ -199,14 +197,15 @@ def exact_steps(
     InputError
         If the process is not one of polyhedra and loads as data.
     """
+    plan = run.plan
     if plan.solver != "auto":
         raise InputError(
             f"scheme 'exact' has no use for solver={shown(plan.solver)}; leave one of them out"
         )
-    rows, times = rows_of(process), run.grid.times
+    rows, times = rows_of(process), run.times
     factor = lru_cache(maxsize=1)(lambda mu: Factor(process.matrix(mu)))
     largest = 0.0
-    nodes = _nodes(rows, process.u0, times, run)
+    nodes = _nodes(rows, run)
 
     def certified(mu: float, t: float, u: Array, z: Array) -> Velocity:
         nonlocal largest
@@ -243,15 +242,13 @@ def exact_steps(
     return take
 
 
-def _nodes(
-    rows: Rows, u0: Array, times: Array, run: Run
-) -> Iterator[tuple[Array, Array, list[Phase]]]:
+def _nodes(rows: Rows, run: Run) -> Iterator[tuple[Array, Array, list[Phase]]]:
     """u, u' and the phases that are new at each node, as far as phases go; `run` gets them."""
     phases: list[Phase] = []
-    done, before = 1, 0
-    for phase in phases_of(rows, u0, float(times[0]), float(times[-1])):
+    times, done, before = run.times, 1, 0
+    for phase in phases_of(rows, run.u, float(times[0]), float(times[-1])):
         phases.append(phase)
-        run.exact = run.exact or Trajectory(phases, run.grid.plan)
+        run.exact = run.exact or Trajectory(phases, run.plan)
         # a node that rounding puts beside a breakpoint is that: the velocity before it is meant
         slack = checks.TIME_SLACK * abs(phase.end)
         end = int(np.searchsorted(times, phase.end + slack, side="right"))
