@@ -24,9 +24,9 @@ sigma > 0 is not; a row with neither is undecided and enters the program of the 
 At A = 0 only rows without slack can be active, S = N B N^T and s_k = (k + 1) d_{k+1}.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, reduce
+from functools import cached_property, reduce
 from itertools import pairwise
 from operator import add
 from typing import Any, NamedTuple
@@ -123,15 +123,6 @@ class Rows:
     def fixed(self) -> list[int]:
         """The rows that always hold with equality."""
         return np.flatnonzero(self.equations).tolist()
-
-    @cached_property
-    def modes(self) -> Callable[[tuple[int, ...]], tuple[Array, Array]]:
-        """lam and V of a face (`modes`): a periodic motion comes to the same faces again.
-
-        Those of a thousand faces are 20 MB where 50 rows are active.
-        """
-        both = self.S, self.SB
-        return lru_cache(1000)(lambda active: modes(*(M[np.ix_(active, active)] for M in both)))
 
 
 @at_path("scheme 'exact' does not apply: ")

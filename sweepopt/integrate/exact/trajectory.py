@@ -17,7 +17,7 @@ from sweepopt import checks
 from sweepopt.checks import Array
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, first_root, histories
-from sweepopt.integrate.exact.rows import Face, Rows, face_after, rows_of
+from sweepopt.integrate.exact.rows import Face, Rows, face_after, modes, rows_of
 from sweepopt.integrate.record import Run, Step
 from sweepopt.linalg import EPS, Factor
 from sweepopt.loads import breakpoints
@@ -49,10 +49,6 @@ class Phase:
         return 0.0 + self.u.derivative()(t - self.start)
 
 
-Evaluate = Callable[[Phase, Array], Array]
-"""A function of a phase at some times, such as `Phase.state`."""
-
-
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """u(t) to rounding at any time.
@@ -61,8 +57,8 @@ class Trajectory:
     ----------
     phases : list of Phase
         One after the other; a run adds to them as it goes.
-    plan : Plan or None
-        Of a run whose phases have few of the unknowns.
+    plan : Plan
+        It has all unknowns where the phases have few of them.
 
     Examples
     --------
@@ -75,7 +71,7 @@ class Trajectory:
     """
 
     phases: list[Phase]
-    plan: Plan | None = None
+    plan: Plan
 
     def __repr__(self) -> str:
         return (
@@ -103,24 +99,22 @@ class Trajectory:
 
     def __call__(self, t: Any) -> Array:
         """u(t), shape (dim,) or (k, dim) for a scalar or an array t."""
-        return self._evaluate(t, Phase.state, Plan.state)
+        return self.plan.state(self._of_phases(t, Phase.state))
 
     def velocity(self, t: Any) -> Array:
         """u'(t), the left derivative; shape (dim,) or (k, dim)."""
-        return self._evaluate(t, Phase.velocity, Plan.velocity)
+        return self.plan.velocity(self._of_phases(t, Phase.velocity))
 
-    def _evaluate(self, t: Any, of_phase: Evaluate, of_all: Callable[..., Any]) -> Array:
-        """What `of_phase` computes at the times; of a run with a plan `of_all` has all unknowns."""
-        start = self.phases[0].start
-        times = checks.times_inside(t, np.array([start, self.end]))
+    def _of_phases(self, t: Any, value: Callable[[Phase, Array], Array]) -> Array:
+        """That of the unknowns in the phases, at the times."""
+        times = checks.times_inside(t, np.array([self.starts[0], self.end]))
         flat = times.ravel()
         phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
         values = np.zeros((flat.size, len(self.phases[0].u.weights)))
         for k, group in groupby(np.argsort(phase_of).tolist(), phase_of.__getitem__):
             inside = list(group)
-            values[inside] = of_phase(self.phases[k], flat[inside])
-        values = values.reshape(*times.shape, values.shape[-1])
-        return values if self.plan is None else of_all(self.plan, values)
+            values[inside] = value(self.phases[k], flat[inside])
+        return values.reshape(*times.shape, values.shape[-1])
 
 
 def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase]:
@@ -163,11 +157,12 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
     force = phi.with_weights(-rows.weights @ phi.weights)
     force.weights.imag[:, : phi.degree + 1] = 0.0
     force.weights[:, 0] += rows.NB @ u  # N B u_s - d
+    square = np.ix_(active, active)
     if rows.rate_independent:
-        square, V = np.ix_(active, active), np.eye(len(active))
+        V = np.eye(len(active))
         p = force.with_weights(np.linalg.solve(rows.S[square], force.weights[active]))
     else:
-        lam, V = rows.modes(tuple(active))
+        lam, V = modes(rows.S[square], rows.SB[square])
         force = force.extended(lam)
         p = decay(lam, force.with_weights(V.T @ force.weights[active]))
     dp = p.derivative()
