@@ -267,35 +267,23 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
     # between times that are the same to the library
     sentences, width = [], TIME_SLACK * max(abs(start), abs(end))
     for name, f, distance in _moves(C, metric) or ():
-        for t in _discontinuities(f.histories, start, end, width) if f.bounded else ():
-            before, after = f.at(np.clip([t - width, t + width], start, end))
-            size, change = distance(after - before), np.linalg.norm(after - before)
-            by = f"by {size:g}" if size < np.inf else "by an unknown distance"
-            sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
+        # others need more than this time for any change
+        may_jump = [
+            phi
+            for phi in f.histories
+            if not isinstance(phi, EXEMPT)
+            and not (isinstance(phi, Table) and np.diff(phi.times).min() > width)
+        ]
+        last = -np.inf
+        for t in breakpoints(may_jump, start, end).tolist() if f.bounded else ():
+            before, after, *wide = f.at(np.clip(t + width * np.array([-1, 1, -8, 8]), start, end))
+            change = np.linalg.norm(after - before)
+            # one of each cluster of breakpoints: what f changes by does not shrink with the time
+            if t > last + width and change > 0.5 * np.linalg.norm(wide[1] - wide[0]):
+                size, last = distance(after - before), t
+                by = f"by {size:g}" if size < np.inf else "by an unknown distance"
+                sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
     return sorted(sentences)
-
-
-def _discontinuities(
-    histories: list[Any], start: float, end: float, width: float
-) -> Iterator[float]:
-    """Breakpoints whose neighbourhood keeps its variation as it shrinks, one of each cluster."""
-    last = -np.inf
-    # others need more than this time for any change
-    may_jump = [
-        phi
-        for phi in histories
-        if not isinstance(phi, EXEMPT)
-        and not (isinstance(phi, Table) and np.diff(phi.times).min() > width)
-    ]
-
-    def change(t: float, within: float) -> float:
-        ends = np.clip([t - within, t + within], start, end)
-        return sum(phi.variation(*ends) for phi in may_jump)
-
-    for t in breakpoints(may_jump, start, end).tolist():
-        if t > last + width and change(t, width) > 0.5 * change(t, 8 * width):
-            last = t
-            yield t
 
 
 def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
