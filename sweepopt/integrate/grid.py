@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, Array, axes, count, increasing, meaning, number, step_count
+from sweepopt.checks import TIME_SLACK, Array, axes, increasing, meaning, number, step_count
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.integrate.schemes import Scheme, rings
 from sweepopt.linalg import EPS
@@ -90,15 +90,12 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
     end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
     if axes(steps) == 0:
         try:
-            count("steps", steps)
+            n = step_count(steps)
         except InputError as error:
-            if isinstance(steps, (int, np.integer)) and not isinstance(steps, bool):
-                raise
-            hint = "give the times themselves, or so.Adaptive(tol)"
-            if isinstance(steps, (float, np.floating)):
-                hint = "for steps of length dt give round(t_end / dt), or the times themselves"
-            raise InputError(f"{error}; {hint}") from None
-        n = step_count(steps)
+            raise InputError(
+                f"{error}; for steps of length dt give round(t_end / dt), or the times "
+                "themselves, or so.Adaptive(tol)"
+            ) from None
         if end is None:
             raise InputError("t_end is missing; give it or pass the times as steps")
         return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)

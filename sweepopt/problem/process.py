@@ -366,15 +366,11 @@ class SweepingProcess(Displayed):
                     f"{where}, and A is singular: no velocity makes up for that, so that no "
                     "solution starts there; change u0, to so.compatible_start(process) for example"
                 )
-        remedy = "loads and prescribed motions that begin slowly"
-        D = getattr(self, "dissipation", None)
-        if D is not None and D.exact and not D.contains(np.zeros(self.dim)):
-            remedy = "a dissipation that contains 0, as so.Box(-g, g) for a friction bound g"
-        if self.B is not None:
-            remedy = f"a u0 with {what} {home}, or {remedy}"
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give "
-            f"{remedy}",
+            "loads and prescribed motions that begin slowly, a dissipation that contains 0, as "
+            "so.Box(-g, g) for a friction bound g, or, where B is not 0, a u0 with "
+            f"{what} {home}",
             InitialStateWarning,
         )
         return True
@@ -535,18 +531,12 @@ class EvolutionVI(SweepingProcess):
         A, B, sizes = _matrices(A, B)
         for name, given in (("dissipation", dissipation), ("cone", cone)):
             if given is not None and not isinstance(given, ConvexSet):
-                remedy = "a friction bound g is so.Box(-g, g), a list of sets so.product(*sets)"
-                if name == "cone":
-                    remedy = "velocities >= 0 are so.Orthant(n)"
-                elif isinstance(given, type):
-                    remedy = "give one of them, such as so.Box(-g, g)"
-                elif callable(given) or isinstance(given, MovingSet):
-                    remedy = (
-                        "as C(t) = load - dissipation, take SweepingProcess(A, B, "
-                        "C=so.Moving(-set, center=load, scale=g), u0=u0)"
-                    )
                 raise InputError(
-                    f"{name} must be a set that does not move, got {shown(given)}; {remedy}"
+                    f"{name} must be a set that does not move, got {shown(given)}; a friction "
+                    "bound g is so.Box(-g, g), a list of sets so.product(*sets), a cone of "
+                    "velocities >= 0 so.Orthant(n); with a set that moves C(t) = load - "
+                    "dissipation, take SweepingProcess(A, B, C=so.Moving(-set, center=load, "
+                    "scale=g), u0=u0)"
                 )
             if given is not None:
                 sizes[name] = given.dim
@@ -607,13 +597,10 @@ def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
 def sweeping(process: Any) -> SweepingProcess:
     """The process, if it is one."""
     if not isinstance(process, SweepingProcess):
-        remedy = "a scene is run by scene.solve()"
-        if isinstance(process, (type, ConvexSet, MovingSet)):
-            remedy = "make one: so.SweepingProcess(A, B, C, u0)"
-        elif isinstance(process, str):
-            remedy = f"a scene is run by so.scene({shown(process)}).solve()"
         raise InputError(
-            f"process must be a SweepingProcess or an EvolutionVI, got {shown(process)}; {remedy}"
+            f"process must be a SweepingProcess or an EvolutionVI, got {shown(process)}; make one: "
+            "so.SweepingProcess(A, B, C, u0); a scene is run by scene.solve(), one of the library "
+            "by so.scene(name).solve()"
         )
     return process
 
