@@ -23,6 +23,7 @@ from sweepopt.errors import (
     SaveError,
     Status,
     StepError,
+    SweepoptError,
     SweepoptWarning,
     shown,
 )
@@ -310,7 +311,6 @@ def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> So
     run, finished = _passes(process, replace(options, on_unstable=unstable))
     tol, cause, times = error, "", with_breakpoints(process, times)
     sol = run(times, options.tol)
-    sol = replace(sol, passes=(Pass(len(sol.stats), math.nan, float(sol.stats["seconds"].sum())),))
     while sol.success:
         try:
             # one that ended where it needs too short a step is not the whole run
@@ -329,7 +329,7 @@ def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> So
             )
         if sol.passes[1:]:
             tol *= min(0.5, max(0.1, 0.8 * error / bound))
-        sol, cause = adapt(run, process, Adaptive(tol), sol.t, sol, bound)
+        sol, cause = adapt(run, process, Adaptive(tol), sol, bound)
     return sol
 
 
@@ -351,7 +351,7 @@ def _adapt(process: SweepingProcess, options: SolveOptions) -> Solution:
     # errors are estimated, so no scheme is warned of
     asked = replace(options, scheme=scheme.name, on_unstable="ignore")
     run, finished = _passes(process, asked)
-    sol, cause = adapt(run, process, options.steps, times)
+    sol, cause = adapt(run, process, options.steps, run(times, math.inf))
     sol = finished(sol)
     if not (cause and sol.success):
         return sol
@@ -377,7 +377,18 @@ def _passes(
         with warnings.catch_warnings():
             if next(calls):
                 warnings.simplefilter("ignore", SweepoptWarning)
-            return _run(process, replace(chosen, save=save, callback=callback))
+            try:
+                sol = _run(process, replace(chosen, save=save, callback=callback))
+            except Exception as failure:
+                if save is None and callback is None and not isinstance(failure, SweepoptError):
+                    failure.add_note(
+                        "Adaptive and error= ask for C(t) at any time. Where C(t) is known at "
+                        "multiples of a step only, give these times as steps=, or the load as a "
+                        "Table."
+                    )
+                raise
+        seconds = float(sol.stats["seconds"].sum())
+        return replace(sol, passes=(Pass(len(sol.stats), math.nan, seconds),))
 
     def finished(sol: Solution) -> Solution:
         if not sol.success or (options.save is None and options.callback is None):
@@ -407,8 +418,8 @@ def planned(process: SweepingProcess, options: SolveOptions) -> Run:
     saved = saving(options.save, times, plan.entering, options.memory)
     outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
     process.check_jumps(float(times[0]), float(times[-1]))
-    check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
     if options.on_unstable != "ignore":
+        check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
         check_resolution(process, plan, times)
     return Run(times, mus, plan, saved, plan.process_of(process).u0)
 

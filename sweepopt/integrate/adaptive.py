@@ -16,7 +16,6 @@ in equal parts that are halved again and again, so that steps share their progra
 """
 
 import math
-import time as clock
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, Array
-from sweepopt.errors import InputError, Status, SweepoptError
+from sweepopt.errors import InputError, Status
 from sweepopt.integrate.grid import (
     PER_PIECE,
     Adaptive,
@@ -99,9 +98,8 @@ def adapt(
     run: Runs,
     process: SweepingProcess,
     steps: Adaptive,
-    times: Array,
-    first: Any = None,
-    bound: float = math.inf,
+    sol: Any,
+    error: float = math.inf,
 ) -> tuple[Any, str]:
     """The run over the first grid with a small estimated error, and why there is none.
 
@@ -109,35 +107,19 @@ def adapt(
 
     Parameters
     ----------
-    times : ndarray
-        Those of `first_grid`, or of the first run.
-    first : Solution, optional
-        The first run, if it is made, and `bound` a bound of its error; from two it is estimated.
+    sol : Solution
+        The first run, and a bound of its error if one is known; from two runs it is estimated.
     """
-    sol, share, tol = None, math.nan, math.inf
-    passes: list[Pass] = [] if first is None else list(first.passes)
-    # breakpoints are met anyway
-    shortest = min(steps.minimum or 2.0**-40 * (times[-1] - times[0]), float(np.diff(times).min()))
-    while True:
-        before, began = sol, clock.perf_counter()
-        try:
-            sol = first if sol is None and first is not None else _with_note(run, times, tol)
-        except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
-            if before is None:
-                raise
-            return replace(before, status=Status.INTERRUPTED), ""
-        this = Pass(len(sol.stats), math.nan, clock.perf_counter() - began)
-        if not sol.success:
-            return replace(sol, passes=(*passes, this)), ""
-        sizes, r = np.diff(times), int(sol.plan.scheme.order)
+    before, share, tol, passes, shortest = None, math.nan, math.inf, list(sol.passes), math.nan
+    while sol.success:
+        sizes, r = np.diff(sol.t), int(sol.plan.scheme.order)
         leading = _leading(process, sol)
         errors = leading * sizes ** (r + 1)
-        error = bound
-        if before is not None:
+        if before is None:  # breakpoints are met anyway
+            shortest = min(steps.minimum or 2.0**-40 * sizes.sum(), sizes.min())
+        else:
             error = _estimate(process, before, sol, share, errors)
-            this = this._replace(error=error)
-        if sol is not first:
-            passes.append(this)
+            passes[-1] = passes[-1]._replace(error=error)
         sol = replace(sol, passes=tuple(passes))
         if error <= steps.tol:
             return sol, ""
@@ -161,6 +143,13 @@ def adapt(
             at = times[h.argmin()]
             cause = f"a step shorter than minimum = {shortest:g} is needed at t = {at:g}; {ADVICE}"
             return _first_steps(sol, int(np.searchsorted(sol.t, at, "right")) - 1), cause
+        before = sol
+        try:
+            sol = run(times, tol)
+        except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
+            return replace(before, status=Status.INTERRUPTED), ""
+        passes += sol.passes
+    return replace(sol, passes=tuple(passes)), ""
 
 
 def _estimate(
@@ -181,19 +170,6 @@ def _first_steps(sol: Any, k: int) -> Any:
     states = States(sol.steps[:k], sol.u[: k + 1].__getitem__, sol.velocity[:k].__getitem__)
     statistics = sol.statistics._replace(rows=rows)
     return replace(sol, t=sol.t[: k + 1], states=states, statistics=statistics)
-
-
-def _with_note(run: Runs, times: Array, tol: float) -> Any:
-    """The run, with a note on what a user's function raised."""
-    try:
-        return run(times, tol)
-    except Exception as failure:
-        if not isinstance(failure, SweepoptError):
-            failure.add_note(
-                "Adaptive asks for C(t) at any time. Where C(t) is known at multiples of a step "
-                "only, give these times as steps=, or the load as a Table."
-            )
-        raise
 
 
 def _leading(process: SweepingProcess, sol: Any) -> Array:

@@ -210,8 +210,6 @@ def check_stability(
     where R < -RINGING; nothing of it stays where nothing sticks, or where Euler steps step in.
     """
     scheme = plan.scheme
-    if on_unstable == "ignore":
-        return
     if scheme.explicit:
         _check_explicit(process, scheme, mu, on_unstable)
         return
@@ -244,10 +242,9 @@ def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
     if theta <= LARGEST_CONTRACTION:
         return theta
     # 2^-50 of a step is less than the times are rounded by
-    halved = ((mu / 2**k, process.contraction(gamma / 2**k)) for k in range(1, 50))
-    shorter = (size for size, contracts in halved if contracts <= LARGEST_CONTRACTION)
+    halves = (k for k in range(1, 50) if process.contraction(gamma / 2**k) <= LARGEST_CONTRACTION)
     remedy = next(
-        (f"take steps of at most {size:.3g}" for size in shorter),
+        (f"take steps of at most {mu / 2**k:.3g}" for k in halves),
         "no shorter step helps, as B u alone does not hold against it and a body without viscosity "
         "jumps: give viscosity, a stiffer body, or a C(t, u) that changes less with u",
     )
