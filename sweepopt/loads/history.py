@@ -112,10 +112,6 @@ class Slope(History):
         """Those of the history."""
         return self.history.breakpoints(a, b)
 
-    def _extremes(self, a: float, b: float) -> Array:
-        ends = np.array([a, *self.breakpoints(a, b), b])
-        return np.append(self(a), self.history.slope(0.5 * (ends[1:] + ends[:-1])))
-
     def piece(self, a: float, b: float) -> Piece:
         """A constant."""
         return Piece(a, (float(self.history.slope(0.5 * (a + b))),))
