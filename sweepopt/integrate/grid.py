@@ -7,7 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, Array, axes, increasing, meaning, number, step_count
+from sweepopt.checks import (
+    TIME_SLACK,
+    Array,
+    axes,
+    increasing,
+    meaning,
+    number,
+    step_count,
+    times_inside,
+)
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.integrate.schemes import Scheme, rings
 from sweepopt.linalg import EPS
@@ -147,10 +156,8 @@ def meeting_breakpoints(
     ten steps is the most, as with 0.2 a finer grid of as long a run had the smaller error.
     """
     points = breakpoints_to_meet(histories, times[0], times[-1])
-    slack = TIME_SLACK * np.abs(times).max()
-    points = points[np.diff(points, prepend=-np.inf) > slack]
-    after = np.clip(np.searchsorted(times, points), 1, len(times) - 1)
-    points = points[np.minimum(points - times[after - 1], times[after] - points) > slack]
+    points = np.setdiff1d(times_inside(points, times), times)
+    points = points[np.diff(points, prepend=-np.inf) > TIME_SLACK * np.abs(times).max()]
     large = plan.entering > 500 and process.B is not None
     most = int((0.1 if large else 0.5) * (len(times) - 1))
     if points.size > most:
