@@ -71,37 +71,29 @@ def _minimum_degree(M: Matrix) -> Array:
 
 
 def _nested_dissection(graph: sp.csr_array) -> Array:
-    """The order, from its end on, by a list of what is still to be parted: nothing recurses."""
-    waiting, order = [(np.arange(graph.shape[0]), graph)], []
-    while waiting:
-        unknowns, graph = waiting.pop()
-        part = _parts(graph)
-        for one in np.unique(part):
-            inside = np.flatnonzero(part == one)
-            names, within = unknowns[inside], graph[inside][:, inside]
-            if one:
-                waiting.append((names, within))
-            else:
-                order.append(names[_minimum_degree(within)])
-    return np.concatenate(order[::-1])
+    """The order: of a body what is before a level, what is behind it, then the level.
 
-
-def _parts(graph: sp.csr_array) -> Array:
-    """The part of each unknown: large components, or the two sides of a level.
-
-    Part 0 is parted no more and goes to the end: that level, small components, or all unknowns.
+    Of several bodies one after the other, the small ones together.
     """
-    component = _components(graph)
-    sizes = np.bincount(component)
-    if sizes.size > 1 or component.size <= PIECE:
-        return np.where(sizes > PIECE, 1 + np.arange(sizes.size), 0)[component]
-    levels = _levels(graph)
-    sizes = np.bincount(levels)
-    ahead = np.cumsum(sizes) - sizes
-    smaller = np.minimum(ahead, levels.size - ahead - sizes)
-    # few unknowns beside those that they separate; with an eighth on each side the rounds are few
-    worth = np.where(8 * smaller > levels.size, smaller / sizes, 0.0)
-    return worth.any() * np.sign(levels - worth.argmax())
+    part = _components(graph)
+    small = np.bincount(part)[part] <= PIECE
+    if small.all():
+        return _minimum_degree(graph)
+    if part.any():
+        part[small] = -1
+    else:
+        levels = _levels(graph)
+        sizes = np.bincount(levels)
+        ahead = np.cumsum(sizes) - sizes
+        smaller = np.minimum(ahead, levels.size - ahead - sizes)
+        # few unknowns beside those that they separate, an eighth on each side: nothing recurses far
+        worth = np.where(8 * smaller > levels.size, smaller / sizes, 0.0)
+        if not worth.any():
+            return _minimum_degree(graph)
+        side = np.sign(levels - worth.argmax())
+        part = np.where(side, side, 2)
+    groups = [np.flatnonzero(part == k) for k in np.unique(part)]
+    return np.concatenate([some[_nested_dissection(graph[some][:, some])] for some in groups])
 
 
 def triangle(M: Matrix) -> Any:
