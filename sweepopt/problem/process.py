@@ -199,7 +199,7 @@ class SweepingProcess(Displayed):
         except IndefiniteError:
             C = self.C.shape if isinstance(self.C, Moving) else self.C.at(0.0)
             # isotropic hardening alone bounds p by alpha' >= |p'|
-            if (H := exchanged(M, C.selection)) is not None:
+            if (H := exchanged(M, C)) is not None:
                 self.metric = Factor(M + H, "A + tau B")
                 return
             raise IndefiniteError(NOT_HELD) from None

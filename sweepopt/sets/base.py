@@ -101,12 +101,17 @@ def neighbours(D: Array) -> Blocks:
     return Blocks(np.arange(D.shape[0] * D.shape[1]).reshape(D.shape[:2]), D)
 
 
-def exchanged(M: Any, of: Selection | None) -> sp.dia_array | None:
-    """H with zeros beside the unknowns of a selection, `ConvexSet.exchange` there; None for 0."""
-    if of is None:
+def exchanged(
+    M: Any, C: ConvexSet, unknowns: Any = slice(None), force: Array | None = None
+) -> sp.dia_array | None:
+    """H with `ConvexSet.exchange` of a set on these unknowns, zeros beside them.
+
+    None for 0, or where the set does not exchange stiffness at the force on all unknowns.
+    """
+    if not (force is None or C.exchanges(force[unknowns])):
         return None
     H = np.zeros(M.shape[0])
-    H[of.unknowns] = of.part.exchange(np.asarray(M.diagonal(), dtype=float)[of.unknowns])
+    H[unknowns] = C.exchange(np.asarray(M.diagonal(), dtype=float)[unknowns])
     return sp.diags_array(H) if H.any() else None
 
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from sweepopt.checks import Array
 from sweepopt.errors import IndefiniteError
 from sweepopt.linalg import Elimination, Factor, is_solid
-from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
+from sweepopt.sets import Box, ConvexSet, Point, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade, by_solve, refined
 from sweepopt.velocity.certificate import (
     Inclusion,
@@ -88,8 +88,7 @@ class StateVelocity:
         none = np.zeros(0, dtype=int)
         self._plan, self._contact = plan, none if plan.contact is None else plan.contact
         self._regular = True  # M, as far as is known
-        self._exchange: tuple[Any, Any] = None, None  # of the last M + H: its key, the inclusion
-        self._on_condensed: Inclusion | None = None
+        self._of_matrix = lru_cache(3)(self._new_inclusion)  # all, few, and the last M + H
         self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
         self.forget()
 
@@ -105,7 +104,7 @@ class StateVelocity:
         if u.size == 1 and self._plan.solver == "auto":
             c, S = untranslated(C)
             if isinstance(S, Box) and not S.singleton:
-                formula = self._one(self._on_all, S, self._tol)
+                formula = self._one(self._of_matrix(False), S, self._tol)
                 velocity = formula(float(u[0]), float(c[0]))
                 if velocity is not None:
                     return velocity
@@ -121,7 +120,7 @@ class StateVelocity:
     def of_force(self, q: Array, C: ConvexSet, u: Array | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:
-            of, inclusion = Instance(q - C.anchor, q, C.anchor, C, u), self._on_all
+            of, inclusion = Instance(q - C.anchor, q, C.anchor, C, u), self._of_matrix(False)
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
             return velocity._replace(solver="linear", attempts=1)
         c, S = untranslated(C)
@@ -155,10 +154,7 @@ class StateVelocity:
         """By return mapping, and certified; None where alpha' = |p'| is not certain."""
         if not of.S.exchanges(of.force[self._contact]):
             return None
-        if self._on_condensed is None:
-            H = exchanged(self._M, Selection(self._contact, of.S, None))
-            self._on_condensed = self._on_all if H is None else self._inclusion_of_sum(H)
-        inclusion = self._on_condensed
+        inclusion = self._with_exchange(of)
         if inclusion.rests(of, self._tol):
             return at_rest(of.q)
         if self._mapping is None:
@@ -168,7 +164,7 @@ class StateVelocity:
 
     def _by_cones(self, of: Instance) -> Velocity:
         """By the method of multipliers, and certified."""
-        inclusion = self._on_all
+        inclusion = self._of_matrix(False)
         if self._cones is None or not (self._cones.S is of.S or self._cones.S.same_cone(of.S)):
             self._cones = Cones(inclusion.M, of.S, self._tol)
         velocity = refined(inclusion, partial(self._cones.propose, of.S), of, self._tol)
@@ -178,33 +174,28 @@ class StateVelocity:
         """Of M; of M + H where M is singular and the set exchanges stiffness."""
         if self._regular:
             with suppress(IndefiniteError):
-                return self._on_few if few else self._on_all
+                return self._of_matrix(few)
             self._regular = False
-        H = exchanged(self._M, Selection(of.unknowns, of.S, None))
-        if H is None or not of.S.exchanges(of.force[of.unknowns]):
-            return self._on_few if few else self._on_all
-        return self._inclusion_of_sum(H, few)
+        return self._with_exchange(of, few)
 
-    def _inclusion_of_sum(self, H: Any, few: bool = False) -> Any:
-        """Of M + H, with H of `ConvexSet.exchange`; the last one is kept."""
-        key = few, H.diagonal().tobytes()
-        if key != self._exchange[0]:
-            M, order, (A, B, gamma) = self._M + H, self._metric.order, self._data
-            metric = Elimination(M, self._contact, order) if few else Factor(M, order=order)
-            self._exchange = key, Inclusion(metric, None if A is None else A + H, B, gamma)
-        return self._exchange[1]
+    def _with_exchange(self, of: Instance, few: bool = False) -> Inclusion:
+        """Of M + H, H the stiffness that the set exchanges; of M where there is none."""
+        H = exchanged(self._M, of.S, of.unknowns, of.force)
+        return self._of_matrix(few) if H is None else self._of_matrix(few, H.diagonal().tobytes())
 
-    @cached_property
-    def _on_all(self) -> Inclusion:
-        if self._metric.M is self._M:
-            return Inclusion(self._metric, *self._data)
-        if sp.issparse(self._M) and is_solid(self._M):  # of 107,855 unknowns factors take 0.9 GB
-            self._metric.forget()
-        return Inclusion(Factor(self._M, order=self._metric.order), *self._data)
-
-    @cached_property
-    def _on_few(self) -> Inclusion:
-        return Inclusion(Elimination(self._M, self._contact, self._metric.order), *self._data)
+    def _new_inclusion(self, few: bool, exchange: bytes = b"") -> Inclusion:
+        """Of M, or of M + H for the diagonal of H."""
+        M, metric, (A, B, gamma) = self._M, self._metric, self._data
+        if exchange:
+            H = sp.diags_array(np.frombuffer(exchange))
+            M, A = M + H, None if A is None else A + H
+        if few:
+            return Inclusion(Elimination(M, self._contact, metric.order), A, B, gamma)
+        if metric.M is not M:
+            if sp.issparse(M) and is_solid(M):  # of 107,855 unknowns factors take 0.9 GB
+                metric.forget()
+            metric = Factor(M, order=metric.order)
+        return Inclusion(metric, A, B, gamma)
 
 
 class ReducedVelocity(StateVelocity):

@@ -187,8 +187,7 @@ class StepProgram(Brief):
         try:
             M = Factor(self.M)
         except IndefiniteError:
-            H = exchanged(self.M, S.selection)
-            if H is None or not S.exchanges(self.Bu - c):
+            if (H := exchanged(self.M, S, force=self.Bu - c)) is None:
                 raise
             M = Factor(self.M + H)
         return certify_point(M, self.Bu - c, S, vector("z", z, S.dim), 0.0)
