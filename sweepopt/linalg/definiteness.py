@@ -57,7 +57,9 @@ def dominates(P: Matrix, Q: Matrix, by_factors: bool = True) -> bool:
 
 
 def _backward_error(M: Matrix, w: Array) -> Array:
-    """H w for a bound H of |M - L D L^T|; inf if there are no such factors, D > 0.
+    """H w for a bound H of |M - L D L^T|, whose rows alone count, as that is symmetric.
+
+    inf if there are no such factors, D > 0.
 
     |M - L U| <= gamma_k |L| |U|, gamma_k = k u / (1 - k u), with k the most entries of a row of L
     and a little, in whatever order the products are summed (Higham, Accuracy and Stability of
@@ -86,9 +88,5 @@ def _backward_error(M: Matrix, w: Array) -> Array:
     if not (pivots.min() > 0 and (rows == place).all()):
         return np.full(n, math.inf)
     gamma, y = (np.bincount(L.indices).max() + 4) * UNIT, w[np.argsort(place)]
-    bound = U - (L @ sp.diags_array(pivots)).T
-    for one in (bound, U, L):
-        np.abs(one.data, out=one.data)
-    U *= gamma
-    upper, lower = bound @ y + U @ y, L.T @ y
-    return 0.5 * (L @ upper + bound.T @ lower + U.T @ lower)[place]
+    remainder = abs(U - (L @ sp.diags_array(pivots)).T)
+    return (abs(L) @ (remainder @ y + gamma * (abs(U) @ y)))[place]
