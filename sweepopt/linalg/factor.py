@@ -18,7 +18,7 @@ from sweepopt.checks import Array, Matrix, divisor
 from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
 from sweepopt.linalg.cholesky import Cholesky, factorised, has_cholmod
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
-from sweepopt.linalg.definiteness import MARGINS, dominates
+from sweepopt.linalg.eigenvalues import largest_ratio
 from sweepopt.linalg.matrices import (
     PIVOT,
     SEMIDEFINITE,
@@ -225,17 +225,11 @@ class Factor:
     def smallest_eigenvalue(self) -> float:
         """beta: a number with <Mx, x> >= beta |x|^2, the largest one or a little less.
 
-        It is proved by factors of M - beta I (`dominates`): 0, if nothing is.
+        It is proved: 0, if nothing is.
         """
-        if self.is_diagonal:
-            return float(self.diagonal.min())
-        # from above: that of M itself would be lost beside its largest one
-        largest = largest_eigenvalue(self.solve, self.dim, 1e-5)  # as exact as the square of that
-        candidates = 1 / largest / (1 + MARGINS)
-        if not self.has_factors:
-            return float(candidates[0])
         one = sp.eye_array(self.dim) if sp.issparse(self.M) else np.eye(self.dim)
-        return next((float(s) for s in candidates if dominates(self.M, s * one)), 0.0)
+        beta = 1 / largest_ratio(self, one)
+        return beta if self.is_diagonal else math.nextafter(beta, 0.0)
 
 
 class Elimination(Factor):
