@@ -191,32 +191,25 @@ def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
     zeros, so that all have one dimension, as path "cones" asks for.
     """
     dims = {one.rows.block for one in yields} - {1}
-    yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
-    E = [one.euclidean_rows for one in yields]
-    alike = len(dims) == 1 and all(one.shape == "ball" and one.slopes is None for one in yields)
-    if alike:
-        (dim,) = dims
-        first = sp.csr_array(np.eye(dim, 1))
-        few = [one.rows.block == 1 for one in yields]
-        E = [sp.kron(rows, first) if one else rows for one, rows in zip(few, E, strict=True)]
+    balls = all(one.shape == "ball" and one.slopes is None for one in yields)
+    least = max(dims) if balls and len(dims) == 1 else 1
+    blocks = [max(one.rows.block, least) for one in yields]
+    E = [
+        sp.kron(one.euclidean_rows, np.eye(block // one.rows.block, 1))
+        for one, block in zip(yields, blocks, strict=True)
+    ]
     of_forces = images(sp.csc_array(sp.vstack(E).T))
 
     def at(t: float = 0.0, u: Array | None = None) -> ConvexSet:
-        if alike:
-            balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
-            return of_forces(balls)
-        parts = [_set_of(one, t, u) for one in yields]
-        boxes = [part for part in parts if isinstance(part, Box)]
-        if boxes:
-            parts = [product(*boxes), *parts[len(boxes) :]]
+        parts = [_set_of(one, block, t, u) for one, block in zip(yields, blocks, strict=True)]
         return of_forces(parts[0] if len(parts) == 1 else product(*parts))
 
     return at
 
 
-def _set_of(one: Yield, t: float, u: Array | None) -> ConvexSet:
+def _set_of(one: Yield, block: int, t: float, u: Array | None) -> ConvexSet:
     """The product of the sets D_k."""
-    radii, block = one.at(t, u), one.rows.block
+    radii = one.at(t, u)
     if one.shape == "half-line":
         return Box(np.full(radii.size, -np.inf), np.zeros(radii.size))
     if one.slopes is not None:
@@ -295,10 +288,10 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
 
     unknown, keep, owner = _owners(contacts)
     threshold = np.bincount(owner, joined("threshold"))
-    parts = sp.csr_array((keep.size, contacts[0].parts.shape[1]))
-    for one, rows in zip(contacts, np.split(owner, np.cumsum([*map(len, contacts)])), strict=False):
-        ones = np.ones(len(one)), (rows, np.arange(len(one)))
-        parts = parts.maximum(sp.csr_array(ones, shape=(keep.size, len(one))) @ one.parts)
+    each = sp.coo_array(sp.vstack([one.parts for one in contacts]))
+    once = sp.lil_array((keep.size, each.shape[1]))
+    once[owner[each.row], each.col] = each.data  # the same of all that act on a facet
+    parts = sp.csr_array(once)
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
@@ -633,9 +626,8 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     speed = np.abs(signed_lengths(velocity))
     # a body that creeps to its equilibrium ends with the rounding of its forces: 2e-14 were seen
     velocity[speed <= NEGLIGIBLE * speed.max()] = 0.0
-    every = sp.vstack([one.rows.E for one in scene.yields], "csr")
-    entries = np.diff(every.indptr)  # more than one of a row that combines unknowns
-    laws = contact.of(np.bincount(every.indices, np.repeat(entries, entries)))
+    acts = sp.vstack([one.rows.E for one in scene.yields]) != 0
+    laws = contact.of(acts.T @ acts.sum(axis=1))  # more than one of a row that combines unknowns
     mixed = (laws.max(axis=1) if several else laws) > np.bincount(owner, ~apart)
     facets = scene.discretisation.mesh.nfacets
     of_facets, of_cells = contact.parts[:, :facets], contact.parts[:, facets:]

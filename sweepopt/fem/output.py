@@ -34,19 +34,6 @@ RESULTS = ("*.nc", "*.png", "*.gif", "*.mp4", "vtu/*.series", "vtu/*.vtu")
 """Files of a run; those that the summary lists are removed by the next run in the same folder."""
 VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra10")}
 """Cells of VTK files on meshes of dimension 1, 2 and 3."""
-SI = {
-    "time": "s",
-    "length": "m",
-    "velocity": "m/s",
-    "stress": "Pa",
-    "force": "N/m",
-    "energy": "J/m",
-    "certificate": "W^0.5 m^-0.5",
-    "viability": "W^0.5 m^-0.5",
-}
-"""Units of bodies in the plane; energies and forces are per length of the body."""
-OF_WHOLE_BODIES = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
-"""Those of solids, bars, chains and sheets, whose loads are not per length."""
 WEIGHTS, TRACTIONS = ("1", "m", "m2", "m3"), ("N", "N/m", "Pa", "Pa/m")
 """Of contact nodes, by the dimension of what slips; forces of them, and one more if per length.
 
@@ -117,18 +104,26 @@ class Report:
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of the scene's quantities."""
-        if self.scene.units != "SI":
-            return dict.fromkeys([*SI, "weight", "traction"], "1")
+        """Units of the scene's quantities; energies and forces of sections are per length."""
         body, contact = self.body, self.scene.contact
         dimension, names = body.mesh.dim(), () if contact is None else contact.boundary
         inside = not set(names) <= set(body.mesh.boundaries or ())
         size = 0 if body.lumped else dimension - (not inside)
         per_length = dimension == 2 and not (inside and body.kind == "plane stress")
-        of_contact = {"weight": WEIGHTS[size], "traction": TRACTIONS[size + per_length]}
-        if per_length:
-            return SI | of_contact
-        return SI | of_contact | OF_WHOLE_BODIES | {"stress": TRACTIONS[dimension - 1]}
+        per, root = ("/m", "W^0.5 m^-0.5") if per_length else ("", "W^0.5")
+        units = {
+            "time": "s",
+            "length": "m",
+            "velocity": "m/s",
+            "stress": TRACTIONS[dimension - 1 + per_length],
+            "force": f"N{per}",
+            "energy": f"J{per}",
+            "certificate": root,
+            "viability": root,
+            "weight": WEIGHTS[size],
+            "traction": TRACTIONS[size + per_length],
+        }
+        return units if self.scene.units == "SI" else dict.fromkeys(units, "1")
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
