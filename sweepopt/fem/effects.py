@@ -28,7 +28,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
-from skfem.helpers import dot, inner
+from skfem import BilinearForm, LinearForm
+from skfem.helpers import div, dot, inner
 
 from sweepopt.checks import choice, listed, number, symmetric, vector
 from sweepopt.display import Brief, by_parts
@@ -215,8 +216,47 @@ class Record:
                 yield place.values(one, datum, t)
 
 
+class StrainLaw(Record):
+    """The base of laws of strains: the stress is 2 mu e + lam tr(e) I, or that of a tensor.
+
+    Attributes
+    ----------
+    choices : tuple of tuple of str
+        Groups of fields of which one is given.
+    moduli : callable (body, place)
+        lam and mu at the points of a quadrature; mu is None where a tensor is given.
+    strained : callable (body, motion)
+        The displacement or velocity, at all nodes, whose strain it is.
+    """
+
+    choices: ClassVar[tuple[tuple[str, ...], ...]]
+    tensor: Any
+    moduli: Any
+    strained: Any
+
+    def __post_init__(self) -> None:
+        fields = [name for names in self.choices for name in names]
+        given = {name for name in fields if getattr(self, name) is not None}
+        if given not in map(set, self.choices):
+            words = ", or ".join(" and ".join(names) for names in self.choices)
+            for names in self.choices:
+                if given < set(names):
+                    missing = next(name for name in names if name not in given)
+                    beside = "".join(f" beside {name}" for name in given)
+                    raise InputError(f"{missing}: is missing{beside}; give {words}")
+            both = " and ".join(sorted(given))
+            raise InputError(f"{min(given)}: give by name {words}, not {both}")
+        super().__post_init__()
+
+    def stress(self, body: Discretisation) -> Stress | None:
+        """2 mu dev e, at the points of strains; not known of a tensor."""
+        if self.tensor is not None:
+            return None
+        return lambda motion: shear_stress(body, self.moduli, self.strained(body, motion))
+
+
 @dataclass(frozen=True)
-class Viscosity(Record):
+class Viscosity(StrainLaw):
     """``a(u', v) = int eta grad u' . grad v``, or the same of the strain rates of a vector u'.
 
     The viscous stress is ``2 eta e + zeta tr(e) I`` of the rate e of the strain.
@@ -253,19 +293,15 @@ class Viscosity(Record):
     tensor: ArrayLike | None = None
 
     data = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
-
-    def __post_init__(self) -> None:
-        _one_of(self, ("eta",), ("tensor",))
-        super().__post_init__()
+    choices = ("eta",), ("tensor",)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
         return Contribution(A=_stiffness(body, self))
 
-    def stress(self, body: Discretisation) -> Stress | None:
-        """2 eta dev e(u')."""
-        law = self.moduli
-        return None if self.eta is None else lambda motion: shear_stress(body, law, motion.rate)
+    def strained(self, body: Discretisation, motion: Kinematics) -> Array:
+        """u'."""
+        return motion.rate
 
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """zeta and eta at the points of a quadrature; eta is None where a tensor is given."""
@@ -274,7 +310,7 @@ class Viscosity(Record):
 
 
 @dataclass(frozen=True)
-class Elasticity(Record):
+class Elasticity(StrainLaw):
     """``b(u, v) = int kappa grad u . grad v``, or the same of the strains of a vector u.
 
     The elastic stress is ``2 mu e + lam tr(e) I`` of the strain e.
@@ -307,24 +343,20 @@ class Elasticity(Record):
     tensor: ArrayLike | None = None
 
     data = Coefficient("kappa", 0.0), YOUNG, POISSON
+    choices = ("kappa",), ("E", "nu"), ("tensor",)
     meaning = Record.meaning | dict.fromkeys(
         ("young", "poisson", "mu", "G", "lam", "lambda", "K"),
         "; give E, Young's modulus, and nu, Poisson's ratio, or kappa in antiplane shear",
     )
-
-    def __post_init__(self) -> None:
-        _one_of(self, ("kappa",), ("E", "nu"), ("tensor",))
-        super().__post_init__()
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
         B = _stiffness(body, self)
         return Contribution(B=B if B.count_nonzero() else None)
 
-    def stress(self, body: Discretisation) -> Stress | None:
-        """2 mu dev e(u)."""
-        known = self.tensor is None
-        return (lambda motion: shear_stress(body, self.moduli, motion.u)) if known else None
+    def strained(self, body: Discretisation, motion: Kinematics) -> Array:
+        """u."""
+        return motion.u
 
     def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
@@ -748,7 +780,7 @@ class Eigenstrain(Record):
         _check_compressible(nu)
         _check_elastic(body, E, nu, where=strain != 0)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
-        f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
+        f = LinearForm(lambda v, _: stress * div(v)).assemble(place.basis)
         return Contribution(loads=[(self.history, body.restrict(f))])
 
     def stress(self, body: Discretisation) -> Stress | None:
@@ -849,7 +881,7 @@ class OneWay(Record):
 
 
 @dataclass(frozen=True)
-class MaxwellBranch:
+class MaxwellBranch(StrainLaw):
     """A spring and a dashpot in a row beside the body's own: memory that fades with time tau.
 
     With the strain w of the dashpot, an internal unknown at each node,
@@ -879,31 +911,21 @@ class MaxwellBranch:
     E: Datum | None = None
     nu: Datum | None = None
     tensor: ArrayLike | None = None
+    data, choices, meaning = Elasticity.data, Elasticity.choices, Elasticity.meaning
+    moduli = Elasticity.lame
 
     def __post_init__(self) -> None:
         number("tau", self.tau, 0.0, strict=True)
-        self.spring()
+        super().__post_init__()
 
-    def spring(self) -> Elasticity:
-        """The spring alone."""
-        _, *moduli = vars(self).values()
-        return Elasticity(*moduli)
-
-    def stress(self, body: Discretisation) -> Stress | None:
-        """That of the spring, whose displacement is u - w."""
-        spring = self.spring().stress(body)
-        return spring and (
-            lambda motion: spring(motion._replace(u=motion.u - body.expand(motion.internal)))
-        )
-
-    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
-        """Those of the spring."""
-        return self.spring().moduli(body, place)
+    def strained(self, body: Discretisation, motion: Kinematics) -> Array:
+        """u - w, of the spring."""
+        return motion.u - body.expand(motion.internal)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Matrices of u and w; none if the moduli are zero everywhere."""
-        S = self.spring().contribute(body).B
-        if S is None:
+        S = _stiffness(body, self)
+        if not S.count_nonzero():
             return Contribution()
         if (point := body.loose_point(S)) is not None:
             raise InputError(
@@ -917,20 +939,6 @@ class MaxwellBranch:
             B=sp.block_array([[S, -S], [-S, S]], format="csc"),
             internal=body.dim,
         )
-
-
-def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
-    """Exactly one of the groups of fields must be given."""
-    given = {name for names in choices for name in names if getattr(effect, name) is not None}
-    if given not in map(set, choices):
-        words = ", or ".join(" and ".join(names) for names in choices)
-        for names in choices:
-            if given < set(names):
-                missing = next(name for name in names if name not in given)
-                beside = "".join(f" beside {name}" for name in given)
-                raise InputError(f"{missing}: is missing{beside}; give {words}")
-        both = " and ".join(sorted(given))
-        raise InputError(f"{sorted(given)[0]}: give by name {words}, not {both}")
 
 
 def _check_compressible(nu: Array) -> None:
@@ -996,7 +1004,7 @@ def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_a
     return body.rows(basis, values)
 
 
-def _stiffness(body: Discretisation, effect: Viscosity | Elasticity) -> sp.csc_array:
+def _stiffness(body: Discretisation, effect: StrainLaw) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
     place, strain, C = body.whole, strains_of(body), effect.tensor
     normal = body.mesh.dim() if body.components > 1 else 0  # strains; the others are shears
@@ -1010,6 +1018,7 @@ def _stiffness(body: Discretisation, effect: Viscosity | Elasticity) -> sp.csc_a
         _check_proportional(body, lam / mu, "zeta" if isinstance(effect, Viscosity) else "nu")
         lam = 2 * lam * mu / (lam + 2 * mu)
 
+    @BilinearForm
     def form(u: Any, v: Any, _: Any) -> Any:
         a, b = strain(u), strain(v)
         if C is not None:
@@ -1018,7 +1027,7 @@ def _stiffness(body: Discretisation, effect: Viscosity | Elasticity) -> sp.csc_a
         every = sum(x * y for x, y in zip(a, b, strict=True))
         return lam * sum(a[:normal]) * sum(b[:normal]) + mu * (twice + every)
 
-    return body.restrict(place.matrix(form))
+    return body.restrict(form.assemble(place.basis))
 
 
 def _check_proportional(body: Discretisation, ratio: Array, name: str) -> None:
@@ -1051,7 +1060,8 @@ def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
     place = body.place(effect.on, nodal=body.lumped)
     (c,) = effect.values_at(place)
     where = f"on: all of {', '.join(effect.on)}"
-    return _restrict(body, where, place.matrix(lambda u, v, _: c * inner(u, v)))
+    mass = BilinearForm(lambda u, v, _: c * inner(u, v))
+    return _restrict(body, where, mass.assemble(place.basis))
 
 
 def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place: Place) -> Force:
@@ -1064,6 +1074,7 @@ def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place:
     def shape(t: float) -> Array:
         values = [place.values(coefficient, datum, t) for datum in parts]
 
+        @LinearForm
         def form(v: Any, w: Any) -> Any:
             if body.components == 1:
                 return values[0] * v
@@ -1071,6 +1082,6 @@ def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place:
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
         where = f"on: all of {', '.join(getattr(effect, 'on', (BODY,)))}"
-        return _restrict(body, where, place.vector(form))
+        return _restrict(body, where, form.assemble(place.basis))
 
     return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

@@ -88,8 +88,7 @@ class Plasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
-        place = self._place(body)
-        bar = _of_bars(body)
+        place, bar = self._place(body), _of_bars(body)
         sigma_y, Hk, Hi, eta = (bar * np.ravel(x) for x in self.values_at(place))
         at_points = self._moduli(body)
         if body.kind == "plane stress" and any(
@@ -134,12 +133,12 @@ class Plasticity(Record):
         )
 
     def _check_alone(self, body: Discretisation) -> None:
-        every = []
+        times = np.zeros(body.mesh.nelements)
         for one in body.effects:
             if isinstance(one, Plasticity):
                 with suppress(InputError):  # which the other one tells under its own name
-                    every.append(one.cells(body))
-        if np.bincount(np.concatenate(every)).max() > 1:
+                    times[one.cells(body)] += 1
+        if times.max() > 1:
             raise InputError(
                 "on: two plasticities act in one cell, where neither would see the strain of the "
                 "other; name subdomains that do not overlap"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -207,8 +206,7 @@ class Scene(Displayed):
         """The parts of the stress with their internal unknowns; none if one is not known."""
         each = zip(self.effects, self.internal, strict=True)
         laws = [(one.stress(self.discretisation), at) for one, at in each if hasattr(one, "stress")]
-        known = [(law, at) for law, at in laws if law is not None]
-        return known if len(known) == len(laws) else []
+        return [] if any(law is None for law, _ in laws) else laws
 
     def plastic_strain(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
         """sqrt(2/3) |p|, its mean in each cell, shape (k, cells); None without p.
@@ -502,11 +500,9 @@ def _with_effects(
             names = boundary_names(f"{label}.turned", one.turned)
             if set(names) <= set(space.mesh.boundaries or {}):
                 turned.append(names)
-    if turned != list(space.turned):
-        space = space.with_unknowns(turned=tuple(dict.fromkeys(turned)))
-    space = copy(space)
-    vars(space).update(effects=tuple(effects.values()), start=start)
-    return space
+    return space.with_unknowns(
+        turned=tuple(dict.fromkeys(turned)), effects=tuple(effects.values()), start=start
+    )
 
 
 def _check_directions(given: Discretisation, space: Discretisation) -> None:
@@ -682,11 +678,9 @@ def _on_all_unknowns(
     dim: int, parts: Sequence[Contribution], internal: Sequence[slice]
 ) -> list[Contribution]:
     """The parts on all unknowns: internal ones follow those of the body in order."""
-    if not internal or internal[-1].stop == dim:
-        return list(parts)
-    placed = []
+    every, placed = sp.eye_array(internal[-1].stop if internal else dim, format="csr"), []
     for part, own in zip(parts, internal, strict=True):
-        E = sp.eye_array(internal[-1].stop, format="csr")[np.r_[:dim, own]]
+        E = every[np.r_[:dim, own]]
         A, B = (
             None if M is None else sp.csc_array(E[: M.shape[0]].T @ M @ E[: M.shape[0]])
             for M in (part.A, part.B)

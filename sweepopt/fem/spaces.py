@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
@@ -220,7 +220,7 @@ class Discretisation(Brief):
         return frame_of(self)
 
     def with_unknowns(self, **fields: Any) -> Discretisation:
-        """The same with other values of `clamped`, `held` or `turned`."""
+        """The same with other values of `clamped`, `held`, `turned`, `effects` or `start`."""
         other = copy.copy(self)
         for name in ("frame", "free", "extension"):
             other.__dict__.pop(name, None)
@@ -505,14 +505,6 @@ class Place(NamedTuple):
     def shares(self) -> Array:
         """Weights of the points in means over their cells, shape (cells, points)."""
         return self.basis.dx / self.basis.dx.sum(axis=1, keepdims=True)
-
-    def matrix(self, form: Callable[..., Any]) -> sp.csc_array:
-        """Integrals of form(u, v, w) for all degrees of freedom."""
-        return sp.csc_array(skfem.BilinearForm(form).assemble(self.basis))
-
-    def vector(self, form: Callable[..., Any]) -> Array:
-        """Integrals of form(v, w) for all degrees of freedom."""
-        return skfem.LinearForm(form).assemble(self.basis)
 
 
 def _require_some(what: str, name: str, members: Any) -> None:
