@@ -24,6 +24,7 @@ from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
+from sweepopt.fem.mesh import assembled
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.linalg import NEGLIGIBLE
 from sweepopt.loads import Constant, Separable
@@ -401,10 +402,12 @@ def _parts(body: Discretisation, place: Place) -> sp.csr_array:
     mesh, basis = body.mesh, place.basis
     of_cells = mesh.nfacets + np.arange(mesh.nelements)
     at = basis.find if hasattr(basis, "normals") else of_cells[basis.tind].ravel()
-    rows, columns = place.nodes.T, np.broadcast_to(at[:, None], basis.dx.shape)
-    columns = rows if body.lumped else columns  # a node is its own facet, and all of its cell
-    entries = basis.dx.ravel(), (rows.ravel(), columns.ravel())
-    return sp.csr_array(entries, shape=(body.scalar.N, mesh.nfacets + mesh.nelements))
+    nodes = place.nodes.T  # of a lumped body each is its own facet, and all of its cell
+    columns, shape = (
+        nodes if body.lumped else at[:, None],
+        (body.scalar.N, mesh.nfacets + mesh.nelements),
+    )
+    return assembled(basis.dx, nodes, columns, shape)
 
 
 def _slipping(

@@ -227,8 +227,11 @@ class StrainLaw(Record):
         lam and mu at the points of a quadrature; mu is None where a tensor is given.
     strained : callable (body, motion)
         The displacement or velocity, at all nodes, whose strain it is.
+    part : {"A", "B"}
+        The matrix that it adds.
     """
 
+    part: ClassVar[str]
     choices: ClassVar[tuple[tuple[str, ...], ...]]
     tensor: Any
     moduli: Any
@@ -247,6 +250,11 @@ class StrainLaw(Record):
             both = " and ".join(sorted(given))
             raise InputError(f"{min(given)}: give by name {words}, not {both}")
         super().__post_init__()
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The matrix; none if it is zero everywhere."""
+        S: Any = _stiffness(body, self)
+        return Contribution(**{self.part: S}) if S.count_nonzero() else Contribution()
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 mu dev e, at the points of strains; not known of a tensor."""
@@ -293,11 +301,7 @@ class Viscosity(StrainLaw):
     tensor: ArrayLike | None = None
 
     data = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
-    choices = ("eta",), ("tensor",)
-
-    def contribute(self, body: Discretisation) -> Contribution:
-        """The matrix A."""
-        return Contribution(A=_stiffness(body, self))
+    part, choices = "A", (("eta",), ("tensor",))
 
     def strained(self, body: Discretisation, motion: Kinematics) -> Array:
         """u'."""
@@ -343,16 +347,11 @@ class Elasticity(StrainLaw):
     tensor: ArrayLike | None = None
 
     data = Coefficient("kappa", 0.0), YOUNG, POISSON
-    choices = ("kappa",), ("E", "nu"), ("tensor",)
+    part, choices = "B", (("kappa",), ("E", "nu"), ("tensor",))
     meaning = Record.meaning | dict.fromkeys(
         ("young", "poisson", "mu", "G", "lam", "lambda", "K"),
         "; give E, Young's modulus, and nu, Poisson's ratio, or kappa in antiplane shear",
     )
-
-    def contribute(self, body: Discretisation) -> Contribution:
-        """The matrix B; none if it is zero everywhere."""
-        B = _stiffness(body, self)
-        return Contribution(B=B if B.count_nonzero() else None)
 
     def strained(self, body: Discretisation, motion: Kinematics) -> Array:
         """u."""
@@ -379,8 +378,30 @@ class Elasticity(StrainLaw):
     moduli = lame
 
 
+class Mass(Record):
+    """The base of laws ``int c u . v`` on boundaries, subdomains or the whole body.
+
+    Attributes
+    ----------
+    part : {"A", "B"}
+        The matrix that it adds.
+    """
+
+    part: ClassVar[str]
+    on: Any
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The matrix."""
+        place = body.place(self.on, nodal=body.lumped)
+        (c,) = self.values_at(place)
+        mass = BilinearForm(lambda u, v, _: c * inner(u, v)).assemble(place.basis)
+        return Contribution(
+            **{self.part: _restrict(body, f"on: all of {', '.join(self.on)}", mass)}
+        )
+
+
 @dataclass(frozen=True)
-class Dashpot(Record):
+class Dashpot(Mass):
     """``a(u', v) = int eta u' . v`` on boundaries, subdomains or the whole body.
 
     Parameters
@@ -405,15 +426,11 @@ class Dashpot(Record):
 
     on: Sequence[str]
     eta: Datum
-    data = (Coefficient("eta", 0.0),)
-
-    def contribute(self, body: Discretisation) -> Contribution:
-        """The matrix A."""
-        return Contribution(A=_mass(body, self))
+    part, data = "A", (Coefficient("eta", 0.0),)
 
 
 @dataclass(frozen=True)
-class Foundation(Record):
+class Foundation(Mass):
     """``b(u, v) = int k u . v``: Winkler's springs on boundaries, subdomains or the whole body.
 
     Where the other ends of the springs move by d(t), they add the load ``int k d(t) . v``: a body
@@ -440,11 +457,7 @@ class Foundation(Record):
 
     on: Sequence[str]
     k: Datum
-    data = (Coefficient("k", 0.0),)
-
-    def contribute(self, body: Discretisation) -> Contribution:
-        """The matrix B."""
-        return Contribution(B=_mass(body, self))
+    part, data = "B", (Coefficient("k", 0.0),)
 
 
 @dataclass(frozen=True)
@@ -516,8 +529,43 @@ class Friction(Record):
         return Contribution(yields=friction_on(body, self))
 
 
+class Density(Record):
+    """The base of ``<f, v> = phi(t) int f . v`` over boundaries `on`, or over the whole body.
+
+    The density is one number, one along the normal of a boundary, or a vector.
+    """
+
+    history: Any
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """One term of the load."""
+        on = getattr(self, "on", ())
+        place = (body.on_boundary if on else body.place)(on, nodal=body.lumped)
+        (coefficient,) = self.data
+        datum = getattr(self, coefficient.name)
+        several = isinstance(datum, (list, tuple))
+        along_normal = hasattr(place.basis, "normals") and not several
+        parts = coefficient.parts(datum, 1 if along_normal else body.components)
+
+        def shape(t: float) -> Array:
+            values = [place.values(coefficient, one, t) for one in parts]
+
+            @LinearForm
+            def form(v: Any, w: Any) -> Any:
+                if body.components == 1:
+                    return values[0] * v
+                directions = v if several else [dot(v, w.n)]
+                return sum(c * a for c, a in zip(values, directions, strict=True))
+
+            where = f"on: all of {', '.join(on or (BODY,))}"
+            return _restrict(body, where, form.assemble(place.basis))
+
+        f = shape if any(map(in_time, parts)) else shape(0.0)
+        return Contribution(loads=[(self.history, f)])
+
+
 @dataclass(frozen=True)
-class BodyForce(Record):
+class BodyForce(Density):
     """``<f, v> = phi(t) int_Omega f0 . v``.
 
     Parameters
@@ -544,14 +592,9 @@ class BodyForce(Record):
     f0: Datum | Sequence[Datum] = 1.0
     data = (Coefficient("f0", vector=True),)
 
-    def contribute(self, body: Discretisation) -> Contribution:
-        """One term of the load."""
-        place = body.place((), nodal=body.lumped)
-        return Contribution(loads=[_force(body, self, self.f0, place)])
-
 
 @dataclass(frozen=True)
-class Traction(Record):
+class Traction(Density):
     """``<f, v> = phi(t) int_{Gamma_2} f2 . v``.
 
     Parameters
@@ -581,11 +624,6 @@ class Traction(Record):
     history: Phi
     f2: Datum | Sequence[Datum] = 1.0
     data, pulled = (Coefficient("f2", vector=True),), PLACE
-
-    def contribute(self, body: Discretisation) -> Contribution:
-        """One term of the load."""
-        place = body.on_boundary(self.on, nodal=body.lumped)
-        return Contribution(loads=[_force(body, self, self.f2, place)])
 
 
 @dataclass(frozen=True)
@@ -1053,35 +1091,3 @@ def _restrict(body: Discretisation, where: str, x: Any) -> Any:
     if size and abs(restricted).sum() <= NEGLIGIBLE * size:
         raise InputError(f"{where} is clamped or held, so that its displacement is given")
     return restricted
-
-
-def _mass(body: Discretisation, effect: Dashpot | Foundation) -> sp.csc_array:
-    """int c u . v on the unknowns."""
-    place = body.place(effect.on, nodal=body.lumped)
-    (c,) = effect.values_at(place)
-    where = f"on: all of {', '.join(effect.on)}"
-    mass = BilinearForm(lambda u, v, _: c * inner(u, v))
-    return _restrict(body, where, mass.assemble(place.basis))
-
-
-def _force(body: Discretisation, effect: BodyForce | Traction, data: Any, place: Place) -> Force:
-    """A term of the load with the density `data`: one number, one along the normal, or a vector."""
-    (coefficient,) = effect.data
-    several = isinstance(data, (list, tuple))
-    along_normal = hasattr(place.basis, "normals") and not several
-    parts = coefficient.parts(data, 1 if along_normal else body.components)
-
-    def shape(t: float) -> Array:
-        values = [place.values(coefficient, datum, t) for datum in parts]
-
-        @LinearForm
-        def form(v: Any, w: Any) -> Any:
-            if body.components == 1:
-                return values[0] * v
-            directions = v if several else [dot(v, w.n)]
-            return sum(c * a for c, a in zip(values, directions, strict=True))
-
-        where = f"on: all of {', '.join(getattr(effect, 'on', (BODY,)))}"
-        return _restrict(body, where, form.assemble(place.basis))
-
-    return effect.history, shape if any(map(in_time, parts)) else shape(0.0)

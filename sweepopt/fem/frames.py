@@ -14,6 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from sweepopt.fem.mesh import assembled
+
 if TYPE_CHECKING:
     from sweepopt.fem.fields import Array, Indices
     from sweepopt.fem.spaces import Discretisation
@@ -90,9 +92,7 @@ def frame_of(body: Discretisation) -> Frame:
     for axis in np.eye(d):  # some is sqrt(1/3) away from the span of fewer than d others
         add(np.arange(size), axis, least=0.5)
     dofs = body.nodes.T  # node, direction
-    rows, columns = (np.broadcast_to(x, basis.shape) for x in (dofs[:, None, :], dofs[:, :, None]))
-    entries = basis.ravel(), (rows.ravel(), columns.ravel())
-    T = sp.csr_array(entries, shape=(dofs.size, dofs.size))
+    T = assembled(basis, dofs[:, None, :], dofs[:, :, None], (dofs.size, dofs.size))
     T.eliminate_zeros()
     return Frame(T, basis, fixed, normal)
 

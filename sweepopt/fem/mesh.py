@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from sweepopt.checks import at_path, bounded, count, listed, number
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.fields import Coefficient, Indices
+from sweepopt.fem.fields import Array, Coefficient, Indices
 from sweepopt.fem.mesh_groups import group_entities, read_abaqus
 from sweepopt.io import as_path, read_bytes
 from sweepopt.linalg import EPS
@@ -203,9 +203,9 @@ def check_mesh(mesh: skfem.Mesh) -> None:
         )
     bounded("nodes", mesh.doflocs.T, "finite coordinates")
     if (alone := np.setdiff1d(np.arange(mesh.t.max()), mesh.t)).size:
-        where = ", ".join(f"{x:g}" for x in mesh.p[:, alone[0]])
+        where = coordinates(mesh.p[:, alone[0]])
         raise InputError(
-            f"node {alone[0]} at ({where}) is in no cell; give mesh.remove_unused_nodes()"
+            f"node {alone[0]} at {where} is in no cell; give mesh.remove_unused_nodes()"
         )
     corners = mesh.p[:, mesh.t]
     edges = corners[:, 1:] - corners[:, :1]
@@ -315,10 +315,15 @@ def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
 def _refuse_cells(mesh: skfem.Mesh, bad: NDArray[np.bool_], fault: str) -> None:
     if np.any(bad):
         k = np.argmax(bad)
-        place = ", ".join(f"{x:g}" for x in mesh.p[:, mesh.t[:, k]].mean(axis=1))
+        place = coordinates(mesh.p[:, mesh.t[:, k]].mean(axis=1))
         what = ("interval", "triangle", "tetrahedron")[mesh.dim() - 1]
         repair = "repair the mesh, or the points of a grid"
-        raise InputError(f"{what} {k} near ({place}) {fault}; {repair}")
+        raise InputError(f"{what} {k} near {place} {fault}; {repair}")
+
+
+def coordinates(point: Array) -> str:
+    """Those of a point in words, such as "(0, 1)"."""
+    return f"({', '.join(f'{x:g}' for x in point)})"
 
 
 def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:
@@ -385,8 +390,15 @@ def nested(
     local = straight.mapping().invF(places, tind=parent[cell])[:, :, 0]
     columns = coarse.element_dofs[:, parent[cell]]
     values = np.array([element.lbasis(local, k)[0] for k in range(coarse.Nbfun)])
-    entries = values.ravel(), (np.tile(dofs, len(columns)), columns.ravel())
-    return sp.csr_array(entries, shape=(fine.N, coarse.N))
+    return assembled(values, dofs, columns, (fine.N, coarse.N))
+
+
+def assembled(
+    values: Array, rows: Indices, columns: Indices, shape: tuple[int, int]
+) -> sp.csr_array:
+    """The matrix with these sums of entries; rows and columns are broadcast to the values."""
+    places = (np.broadcast_to(index, values.shape).ravel() for index in (rows, columns))
+    return sp.csr_array((values.ravel(), tuple(places)), shape=shape)
 
 
 def _straight(mesh: skfem.Mesh) -> skfem.Mesh:

@@ -343,8 +343,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     folder = folder / "vtu"
     io.folder_at("folder", folder)
     steps = np.append(-1, even_steps(report.solution, MOST_FRAMES - 1))
-    velocity = report.scene.velocity(report.solution)[np.maximum(steps, 0)]
-    in_points = {"displacement": report.at("displacement", steps), "velocity": velocity}
+    in_points = {name: report.at(name, steps) for name in ("displacement", "velocity")}
     in_cells = {name: report.at(name, steps) for name in ("stress", "plastic_strain")}
     files = [folder / f"step_{i:06d}.vtu" for i in steps + 1]
     for k, path in enumerate(files):

@@ -46,7 +46,7 @@ def refusal(scene: Scene, name: str) -> str:
     """What a picture needs and the scene does not have; empty if it fits."""
     dimension, contact = scene.discretisation.mesh.dim(), scene.contact
     one = contact is not None and contact.unknown.ndim == 1
-    along = "friction along a boundary", one and contact is not None and contact.on_curve
+    along = "friction along a boundary", one and contact and contact.on_curve
     flows = any(getattr(effect, "flows", False) for effect in scene.effects)
     plastic = any(hasattr(effect, "plastic_strain") for effect in scene.effects)
     needs = {
@@ -236,9 +236,9 @@ def driven(scene: Scene, solution: Solution) -> tuple[Array, Array, tuple[str, s
 
 def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
     """<d, A u' + B u - f> at the times, with u and f at all nodes."""
-    rate, u = scene.velocity(solution), scene.displacement(solution)
+    rate, u = scene.velocity(solution, solution.t), scene.displacement(solution)
     A, B, loads = released(scene.discretisation, scene.effects)
-    motions, nodes = ((A, np.concatenate([rate[:1], rate])), (B, u)), scene.discretisation.nodes
+    motions, nodes = ((A, rate), (B, u)), scene.discretisation.nodes
     resistance = sum(
         motion.reshape(len(motion), -1) @ (M @ d)[nodes.T].ravel()
         for M, motion in motions

@@ -42,6 +42,7 @@ from sweepopt.fem.effects import (
 from sweepopt.fem.fields import Array
 from sweepopt.fem.frames import PARALLEL
 from sweepopt.fem.initial import Initial
+from sweepopt.fem.mesh import coordinates
 from sweepopt.fem.spaces import Discretisation, boundary_names
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, folder_at
@@ -170,11 +171,15 @@ class Scene(Displayed):
         u = solution.u if t is None else solution(times)
         return self._full(u, lambda history: history(times))
 
-    def velocity(self, solution: Solution) -> Array:
-        """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
+    def velocity(self, solution: Solution, t: ArrayLike | None = None) -> Array:
+        """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors.
+
+        With times t of the run in the steps that lead there, the first one at the start.
+        """
         self.require_run(solution)
         mu = np.diff(solution.t)
-        return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
+        rate = self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
+        return rate if t is None else rate[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
 
     def stress(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
         """Von Mises's stress in each cell, of antiplane shear the shear stress, shape (k, cells).
@@ -194,8 +199,8 @@ class Scene(Displayed):
         if not (laws := self.stress_laws()):
             return None
         t, body = solution.t if t is None else np.atleast_1d(t), self.discretisation
-        u, states = self.displacement(solution, t), solution(t)
-        rate = self.velocity(solution)[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
+        u, rate = self.displacement(solution, t), self.velocity(solution, t)
+        states = solution(t)
         total = np.zeros((len(u), 1, 1, 1))
         for law, at in laws:
             total = total + law(Kinematics(u, rate, states[:, at]))
@@ -553,9 +558,9 @@ def _check_held(space: Discretisation, A: Any, B: Any) -> None:
         )
     if (alone := np.flatnonzero(of_body.diagonal() == 0)).size:
         node = np.nonzero(space.nodes == space.free[alone[0]])[1][0]
-        point = ", ".join(f"{x:g}" for x in space.points[node])
+        point = coordinates(space.points[node])
         raise InputError(
-            f"effects: no viscosity, elasticity, dashpot or foundation acts at ({point}), so that "
+            f"effects: no viscosity, elasticity, dashpot or foundation acts at {point}, so that "
             "nothing resists its motion; let one act there"
         )
 

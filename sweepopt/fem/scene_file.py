@@ -319,10 +319,10 @@ def effect_tables(tables: Any, without: Sequence[str]) -> dict[str, tuple[type, 
         raise InputError(f"effects: must be a table, got {shown(tables)}")
     named: dict[str, tuple[str, Any]] = {}
     for name, table in tables.items():
-        several = {f"effects.{name}": table}
         if isinstance(table, list):
-            several = {f"effects.{name}[{k}]": one for k, one in enumerate(table)}
-        named |= {label: (name, one) for label, one in several.items()}
+            named |= {f"effects.{name}[{k}]": (name, one) for k, one in enumerate(table)}
+        else:
+            named[f"effects.{name}"] = name, table
     kinds: dict[str, tuple[type, Any]] = {}
     for label in remaining(list(named), without):
         name, table = named[label]

@@ -218,7 +218,7 @@ def flow(report: Report, steps: Array) -> Field:
     from matplotlib.colors import ListedColormap
 
     body = report.body
-    velocity = report.scene.velocity(report.solution)[steps]
+    velocity = report.at("velocity", steps)
     look, flat = colours_of(velocity), ListedColormap([STICK, PLUG])
 
     def draw(panel: Any, i: int) -> Any:
@@ -258,7 +258,7 @@ def arrows(report: Report, steps: Array) -> Field:
     slip: Any = report.slip
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
     x, speed, use = slip.contact.points[:, plane], slip.speed[steps], slip.use[steps]
-    velocity = report.scene.velocity(report.solution)[steps][:, slip.contact.node][..., plane]
+    velocity = report.at("velocity", steps)[:, slip.contact.node][..., plane]
 
     def draw(panel: Any, i: int) -> Any:
         moves, fastest = speed[i] > 0, speed[i].max()

@@ -28,7 +28,15 @@ from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.frames import AXES, Frame, frame_of
-from sweepopt.fem.mesh import CELLS, check_mesh, nested, read_mesh, refined
+from sweepopt.fem.mesh import (
+    CELLS,
+    assembled,
+    check_mesh,
+    coordinates,
+    nested,
+    read_mesh,
+    refined,
+)
 from sweepopt.io import as_path
 
 KINDS = {
@@ -250,8 +258,7 @@ class Discretisation(Brief):
             Such as "(0, 1)"; None where every piece is held.
         """
         cells, size = self.scalar.element_dofs, self.scalar.N
-        rows = np.repeat(cells[:1], len(cells), axis=0).ravel()
-        graph = sp.coo_array((np.ones(rows.size), (rows, cells.ravel())), shape=(size, size))
+        graph = assembled(np.ones(cells.shape), cells[0], cells, (size, size))
         count, piece = sp.csgraph.connected_components(graph, directed=False)
         axes, scale = np.eye(self.components), np.abs(M).max() or 1.0
         turns = [np.outer(a, b) - np.outer(b, a) for a, b in combinations(axes, 2)]
@@ -259,15 +266,13 @@ class Discretisation(Brief):
             nodes = np.flatnonzero(piece == k)
             x = self.points[nodes] - self.points[nodes].mean(axis=0)
             x = x / (np.abs(x).max() or 1.0)
-            modes = np.array(
-                [*(np.tile(axis, (len(x), 1)) for axis in axes), *(x @ turn for turn in turns)]
-            )
+            modes = [*(np.tile(axis, (len(x), 1)) for axis in axes), *(x @ turn for turn in turns)]
             full = np.zeros((self.nodes.size, len(modes)))
-            full[self.nodes.T[nodes]] = np.moveaxis(modes, 0, -1)
+            full[self.nodes.T[nodes]] = np.stack(modes, axis=-1)
             free = self.extension.T @ full
             gram = full.T @ full - free.T @ free + free.T @ (M @ free) / scale
             if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
-                return f"({', '.join(f'{value:g}' for value in self.points[nodes[0]])})"
+                return coordinates(self.points[nodes[0]])
         return None
 
     def facet_nodes(self, facets: Indices) -> Indices:
@@ -408,10 +413,8 @@ class Discretisation(Brief):
         """
         values = np.asarray(values)
         at = np.arange(values[0].size).reshape(*values.shape[2:], -1)
-        row = np.broadcast_to(np.moveaxis(at, -1, 0), values.shape)
-        column = np.broadcast_to(basis.element_dofs[:, None, :, None], values.shape)
-        entries = values.ravel(), (row.ravel(), column.ravel())
-        full = sp.csr_array(entries, shape=(at.size, basis.N))
+        dofs = basis.element_dofs[:, None, :, None]
+        full = assembled(values, np.moveaxis(at, -1, 0), dofs, (at.size, basis.N))
         return sp.csr_array(full @ self.extension)
 
     def place(self, on: Sequence[str], *, nodal: bool = False, strains: bool = False) -> Place:
