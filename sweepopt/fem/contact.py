@@ -24,7 +24,7 @@ from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
-from sweepopt.fem.mesh import assembled
+from sweepopt.fem.mesh import sparse_matrix
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.linalg import NEGLIGIBLE
 from sweepopt.loads import Constant, Separable
@@ -407,7 +407,7 @@ def _parts(body: Discretisation, place: Place) -> sp.csr_array:
         nodes if body.lumped else at[:, None],
         (body.scalar.N, mesh.nfacets + mesh.nelements),
     )
-    return assembled(basis.dx, nodes, columns, shape)
+    return sparse_matrix(basis.dx, nodes, columns, shape)
 
 
 def _slipping(

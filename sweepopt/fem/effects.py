@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, combinations
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -225,17 +225,17 @@ class StrainLaw(Record):
         Groups of fields of which one is given.
     moduli : callable (body, place)
         lam and mu at the points of a quadrature; mu is None where a tensor is given.
-    strained : callable (body, motion)
+    argument : callable (body, motion)
         The displacement or velocity, at all nodes, whose strain it is.
-    part : {"A", "B"}
+    matrix : {"A", "B"}
         The matrix that it adds.
     """
 
-    part: ClassVar[str]
+    matrix: ClassVar[str]
     choices: ClassVar[tuple[tuple[str, ...], ...]]
     tensor: Any
     moduli: Any
-    strained: Any
+    argument: Any
 
     def __post_init__(self) -> None:
         fields = [name for names in self.choices for name in names]
@@ -254,13 +254,13 @@ class StrainLaw(Record):
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix; none if it is zero everywhere."""
         S: Any = _stiffness(body, self)
-        return Contribution(**{self.part: S}) if S.count_nonzero() else Contribution()
+        return Contribution(**{self.matrix: S}) if S.count_nonzero() else Contribution()
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 mu dev e, at the points of strains; not known of a tensor."""
         if self.tensor is not None:
             return None
-        return lambda motion: shear_stress(body, self.moduli, self.strained(body, motion))
+        return lambda motion: shear_stress(body, self.moduli, self.argument(body, motion))
 
 
 @dataclass(frozen=True)
@@ -301,9 +301,9 @@ class Viscosity(StrainLaw):
     tensor: ArrayLike | None = None
 
     data = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
-    part, choices = "A", (("eta",), ("tensor",))
+    matrix, choices = "A", (("eta",), ("tensor",))
 
-    def strained(self, body: Discretisation, motion: Kinematics) -> Array:
+    def argument(self, body: Discretisation, motion: Kinematics) -> Array:
         """u'."""
         return motion.rate
 
@@ -347,13 +347,13 @@ class Elasticity(StrainLaw):
     tensor: ArrayLike | None = None
 
     data = Coefficient("kappa", 0.0), YOUNG, POISSON
-    part, choices = "B", (("kappa",), ("E", "nu"), ("tensor",))
+    matrix, choices = "B", (("kappa",), ("E", "nu"), ("tensor",))
     meaning = Record.meaning | dict.fromkeys(
         ("young", "poisson", "mu", "G", "lam", "lambda", "K"),
         "; give E, Young's modulus, and nu, Poisson's ratio, or kappa in antiplane shear",
     )
 
-    def strained(self, body: Discretisation, motion: Kinematics) -> Array:
+    def argument(self, body: Discretisation, motion: Kinematics) -> Array:
         """u."""
         return motion.u
 
@@ -383,11 +383,11 @@ class Mass(Record):
 
     Attributes
     ----------
-    part : {"A", "B"}
+    matrix : {"A", "B"}
         The matrix that it adds.
     """
 
-    part: ClassVar[str]
+    matrix: ClassVar[str]
     on: Any
 
     def contribute(self, body: Discretisation) -> Contribution:
@@ -396,7 +396,7 @@ class Mass(Record):
         (c,) = self.values_at(place)
         mass = BilinearForm(lambda u, v, _: c * inner(u, v)).assemble(place.basis)
         return Contribution(
-            **{self.part: _restrict(body, f"on: all of {', '.join(self.on)}", mass)}
+            **{self.matrix: _restrict(body, f"on: all of {', '.join(self.on)}", mass)}
         )
 
 
@@ -426,7 +426,7 @@ class Dashpot(Mass):
 
     on: Sequence[str]
     eta: Datum
-    part, data = "A", (Coefficient("eta", 0.0),)
+    matrix, data = "A", (Coefficient("eta", 0.0),)
 
 
 @dataclass(frozen=True)
@@ -457,7 +457,7 @@ class Foundation(Mass):
 
     on: Sequence[str]
     k: Datum
-    part, data = "B", (Coefficient("k", 0.0),)
+    matrix, data = "B", (Coefficient("k", 0.0),)
 
 
 @dataclass(frozen=True)
@@ -956,7 +956,7 @@ class MaxwellBranch(StrainLaw):
         number("tau", self.tau, 0.0, strict=True)
         super().__post_init__()
 
-    def strained(self, body: Discretisation, motion: Kinematics) -> Array:
+    def argument(self, body: Discretisation, motion: Kinematics) -> Array:
         """u - w, of the spring."""
         return motion.u - body.expand(motion.internal)
 
@@ -1009,18 +1009,13 @@ def _check_elastic(body: Discretisation, E: Array, nu: Array, where: NDArray[np.
         )
 
 
-def strains_of(body: Discretisation) -> Callable[[Any], list[Any]]:
+def strains(body: Discretisation, u: Any) -> list[Any]:
     """The gradient of a number, or the engineering strains of a vector in Voigt's order."""
-    d = body.mesh.dim()
+    d, g = body.mesh.dim(), u.grad
     if body.components == 1:
-        return lambda u: list(u.grad)
-    pairs = [(0, 1)] if d == 2 else [(1, 2), (0, 2), (0, 1)]
-
-    def strain(u: Any) -> list[Any]:
-        g = u.grad
-        return [g[i, i] for i in range(d)] + [g[i, j] + g[j, i] for i, j in pairs]
-
-    return strain
+        return list(g)
+    shears = reversed([*combinations(range(d), 2)])
+    return [g[i, i] for i in range(d)] + [g[i, j] + g[j, i] for i, j in shears]
 
 
 def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_array:
@@ -1029,9 +1024,9 @@ def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_a
     In an orthonormal basis of the deviators, the components of a point one after the other; in
     plane stress with the e_zz that makes the stress of moduli lam and mu vanish.
     """
-    basis, strains, values = place.basis, strains_of(body), []
+    basis, values = place.basis, []
     for phi in basis.basis:
-        rows = strains(phi[0])
+        rows = strains(body, phi[0])
         if body.components > 1:
             xx, yy, *others = rows
             zz = others.pop(0) if body.components == 3 else 0.0
@@ -1044,7 +1039,7 @@ def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_a
 
 def _stiffness(body: Discretisation, effect: StrainLaw) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
-    place, strain, C = body.whole, strains_of(body), effect.tensor
+    place, C = body.whole, effect.tensor
     normal = body.mesh.dim() if body.components > 1 else 0  # strains; the others are shears
     lam, mu = effect.moduli(body, place)
     if C is not None:
@@ -1058,7 +1053,7 @@ def _stiffness(body: Discretisation, effect: StrainLaw) -> sp.csc_array:
 
     @BilinearForm
     def form(u: Any, v: Any, _: Any) -> Any:
-        a, b = strain(u), strain(v)
+        a, b = strains(body, u), strains(body, v)
         if C is not None:
             return sum(C[i, j] * a[j] * b[i] for i, j in np.argwhere(C).tolist())
         twice = sum(x * y for x, y in zip(a[:normal], b, strict=False))

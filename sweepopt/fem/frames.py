@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from sweepopt.fem.mesh import assembled
+from sweepopt.fem.mesh import sparse_matrix
 
 if TYPE_CHECKING:
     from sweepopt.fem.fields import Array, Indices
@@ -92,7 +92,7 @@ def frame_of(body: Discretisation) -> Frame:
     for axis in np.eye(d):  # some is sqrt(1/3) away from the span of fewer than d others
         add(np.arange(size), axis, least=0.5)
     dofs = body.nodes.T  # node, direction
-    T = assembled(basis, dofs[:, None, :], dofs[:, :, None], (dofs.size, dofs.size))
+    T = sparse_matrix(basis, dofs[:, None, :], dofs[:, :, None], (dofs.size, dofs.size))
     T.eliminate_zeros()
     return Frame(T, basis, fixed, normal)
 

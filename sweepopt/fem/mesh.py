@@ -390,10 +390,10 @@ def nested(
     local = straight.mapping().invF(places, tind=parent[cell])[:, :, 0]
     columns = coarse.element_dofs[:, parent[cell]]
     values = np.array([element.lbasis(local, k)[0] for k in range(coarse.Nbfun)])
-    return assembled(values, dofs, columns, (fine.N, coarse.N))
+    return sparse_matrix(values, dofs, columns, (fine.N, coarse.N))
 
 
-def assembled(
+def sparse_matrix(
     values: Array, rows: Indices, columns: Indices, shape: tuple[int, int]
 ) -> sp.csr_array:
     """The matrix with these sums of entries; rows and columns are broadcast to the values."""

@@ -223,10 +223,9 @@ def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
     the summary of that run lists are removed; what else is in the folder is somebody's own.
     """
     try:
-        listed = json.loads((folder / SUMMARY).read_bytes())["files"]
+        earlier = set(json.loads((folder / SUMMARY).read_bytes())["files"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):  # none, or none of ours
-        listed = []
-    earlier = {file for file in listed if isinstance(file, str)} if type(listed) is list else set()
+        earlier = set()
     _write_json(folder / SUMMARY, summary_of(report, files))
     for path in [path for pattern in RESULTS for path in folder.glob(pattern)]:
         if path.is_file() and path.relative_to(folder).as_posix() in earlier.difference(files):

@@ -30,12 +30,12 @@ from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.frames import AXES, Frame, frame_of
 from sweepopt.fem.mesh import (
     CELLS,
-    assembled,
     check_mesh,
     coordinates,
     nested,
     read_mesh,
     refined,
+    sparse_matrix,
 )
 from sweepopt.io import as_path
 
@@ -258,7 +258,7 @@ class Discretisation(Brief):
             Such as "(0, 1)"; None where every piece is held.
         """
         cells, size = self.scalar.element_dofs, self.scalar.N
-        graph = assembled(np.ones(cells.shape), cells[0], cells, (size, size))
+        graph = sparse_matrix(np.ones(cells.shape), cells[0], cells, (size, size))
         count, piece = sp.csgraph.connected_components(graph, directed=False)
         axes, scale = np.eye(self.components), np.abs(M).max() or 1.0
         turns = [np.outer(a, b) - np.outer(b, a) for a, b in combinations(axes, 2)]
@@ -336,8 +336,8 @@ class Discretisation(Brief):
             _require_some(what, name, boundaries[name])
             if np.any(self.mesh.f2t[1, boundaries[name]] >= 0):
                 raise InputError(f"{what}: {name!r} lies inside the body; name a boundary of it")
-        groups = [np.asarray(boundaries[name], dtype=np.int64) for name in names]
-        facets = np.unique(np.concatenate([np.empty(0, np.int64), *groups]))
+        each = [np.empty(0), *(boundaries[name] for name in names)]
+        facets = np.unique(np.concatenate(each).astype(np.int64))
         return facets, {name: np.searchsorted(facets, boundaries[name]) for name in names}
 
     def expand(self, u: ArrayLike) -> Array:
@@ -414,7 +414,7 @@ class Discretisation(Brief):
         values = np.asarray(values)
         at = np.arange(values[0].size).reshape(*values.shape[2:], -1)
         dofs = basis.element_dofs[:, None, :, None]
-        full = assembled(values, np.moveaxis(at, -1, 0), dofs, (at.size, basis.N))
+        full = sparse_matrix(values, np.moveaxis(at, -1, 0), dofs, (at.size, basis.N))
         return sp.csr_array(full @ self.extension)
 
     def place(self, on: Sequence[str], *, nodal: bool = False, strains: bool = False) -> Place:
