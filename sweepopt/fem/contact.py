@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import chain
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -380,10 +381,8 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
 
 def _at_nodes(body: Discretisation, nodes: Indices, rows: Array) -> sp.csr_array:
     """Rows of the unknowns from rows of the directions of nodes, shape (m, block, d)."""
-    dofs = np.broadcast_to(body.nodes.T[nodes, None], rows.shape)
-    starts = np.arange(0, rows.size + 1, body.components)
-    shape = len(starts) - 1, body.nodes.size
-    E = sp.csr_array((rows.ravel(), dofs.ravel(), starts), shape)[:, body.free]
+    row, dofs = np.arange(rows[..., 0].size).reshape(len(rows), -1, 1), body.nodes.T[nodes, None]
+    E = sparse_matrix(rows, row, dofs, (row.size, body.nodes.size))[:, body.free]
     E.eliminate_zeros()
     return E
 
@@ -475,8 +474,8 @@ def _nodes_of(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
         x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
         normal_x, normal_y = place.basis.normals.mean(axis=2)
         nodes = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
-        order = np.concatenate([mine[_walk(body.points, nodes[mine])] for mine in groups.values()])
-        order = order[np.sort(np.unique(order, return_index=True)[1])]  # some are in two groups
+        each = (mine[_walk(body.points, nodes[mine])].tolist() for mine in groups.values())
+        order = list(dict.fromkeys(chain.from_iterable(each)))  # some are in two groups
         length = place.basis.dx[order].sum(axis=1)
         ends = np.cumsum(length)
         arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1)

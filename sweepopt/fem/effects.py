@@ -6,7 +6,8 @@ All take one form: matrices, terms of the load, and rows that yield,
 
 A new effect is one frozen dataclass with a method `contribute`, and one line in
 `EFFECTS` of scene_file.py; its fields are its keys in a scene file. Errors start with the name of
-the field at fault.
+the field at fault. Effects that are integrals of one kind have a base: `StrainLaw`, `Mass`,
+`Density`.
 
 Units in the docstrings are those of solids and of sections, whose forces and energies are per
 length across. Other bodies have what is left after integrating across them:
@@ -90,7 +91,6 @@ class Kinematics(NamedTuple):
 
 
 Stress = Callable[[Kinematics], Array]
-Moduli = Callable[[Discretisation, Place], tuple[Any, Any]]
 
 
 class Effect(Protocol):
@@ -150,20 +150,11 @@ class Effect(Protocol):
         ...
 
 
-def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
-    """The sum of the effects' matrices."""
-    terms = [M for part in parts if (M := getattr(part, name)) is not None]
-    return sum(terms) if terms else None
-
-
-def shear_stress(body: Discretisation, moduli: Moduli, u: Array) -> Array:
-    """2 mu dev e(u) at the points of strains, shape (k, cells, points, s)."""
-    place = body.whole
-    lam, mu = moduli(body, place)
-    free = body.with_unknowns(clamped=(), held={}, turned=())
-    rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
-    strain = (rows @ u.reshape(len(u), -1).T).T.reshape(len(u), *place.basis.dx.shape, -1)
-    return 2 * mu[..., None] * strain
+def total(parts: Sequence[Contribution]) -> tuple[Any, Any, list[Force]]:
+    """The sums of the effects' matrices, None where there is none, and all terms of the load."""
+    each = ([M for part in parts if (M := getattr(part, name)) is not None] for name in "AB")
+    A, B = (sum(matrices) if matrices else None for matrices in each)
+    return A, B, [load for part in parts for load in part.loads]
 
 
 def released(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any, list[Force]]:
@@ -175,7 +166,7 @@ def released(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any
         for one, part in own
         if part.A is not None or part.B is not None or part.loads
     ]
-    return total(parts, "A"), total(parts, "B"), [load for part in parts for load in part.loads]
+    return total(parts)
 
 
 class Record:
@@ -217,7 +208,7 @@ class Record:
 
 
 class StrainLaw(Record):
-    """The base of laws of strains: the stress is 2 mu e + lam tr(e) I, or that of a tensor.
+    """The base of laws of strains e: the stress is 2 mu e + lam tr(e) I, or that of a tensor.
 
     Attributes
     ----------
@@ -260,7 +251,16 @@ class StrainLaw(Record):
         """2 mu dev e, at the points of strains; not known of a tensor."""
         if self.tensor is not None:
             return None
-        return lambda motion: shear_stress(body, self.moduli, self.argument(body, motion))
+
+        def deviator(motion: Kinematics) -> Array:
+            u, place = self.argument(body, motion), body.whole
+            lam, mu = self.moduli(body, place)
+            free = body.with_unknowns(clamped=(), held={}, turned=())
+            rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
+            strain = (rows @ u.reshape(len(u), -1).T).T.reshape(len(u), *place.basis.dx.shape, -1)
+            return 2 * mu[..., None] * strain
+
+        return deviator
 
 
 @dataclass(frozen=True)

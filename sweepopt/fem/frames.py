@@ -101,9 +101,7 @@ def normals_at(body: Discretisation, names: Sequence[str]) -> tuple[Indices, Arr
     """The nodes of boundaries, each with the mean outward normal, weighted by the facets' sizes."""
     basis, _, nodes = body.on_boundary(names, nodal=True)
     weighted = basis.normals * basis.dx.sum(axis=1)[None, :, None]
-    along = nodes.T
-    sums = np.zeros((body.scalar.N, len(weighted)))
-    np.add.at(sums, along.ravel(), weighted.reshape(len(weighted), -1).T)
-    nodes = np.unique(along)
+    sums = np.array([np.bincount(nodes.T.ravel(), x.ravel()) for x in weighted]).T
+    nodes = np.unique(nodes)
     normals = sums[nodes] / np.linalg.norm(sums[nodes], axis=1, keepdims=True)
     return nodes, np.where(np.abs(normals) < 1e-14, 0.0, normals)  # so that axes are met exactly

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -425,8 +425,7 @@ def build(
     steps = settings["steps"]
     start = float(entries("steps", steps)[0]) if axes(steps) else 0.0
     given, space = space, _with_effects(space, effects, start)
-    if not isinstance(u0, Initial) and np.any(u0):
-        _check_directions(given, space)
+    _check_directions(given, space, u0)
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
     size, internal = ends[-1], tuple(map(slice, ends, ends[1:]))
@@ -435,15 +434,16 @@ def build(
         name: one for name, one in zip(tables, internal, strict=True) if one.stop > one.start
     }
     parts = _on_all_unknowns(space.dim, parts, internal)
-    A, B = total(parts, "A"), total(parts, "B")
-    loads = [load for part in parts for load in part.loads]
+    A, B, loads = total(parts)
     lifts = tuple(part.lift for part in parts if part.lift is not None)
     yields = tuple(one for part in parts for one in part.yields)
     with _blaming(effects, parts):
         _check_held(space, A, B)
     _check_lifts(space, effects, parts)
     loads += _forces_of_motion(space, effects, lifts) if lifts else []
-    digest = _digest(space, effects.values(), yields)
+    known = [one.slopes for one in yields if one.slopes is not None]
+    places = [one.cells(space) for one in space.effects if hasattr(one, "plastic_strain")]
+    digest = space.digest(*known, *places)  # of what the unknowns are, internal ones too
     vars(space).pop("basis", None)
     force = _force(loads, space.dim, size)
     if isinstance(u0, Initial):
@@ -462,7 +462,7 @@ def build(
         problem=problem,
         discretisation=space,
         contact=merged([one.contact for one in yields if one.contact is not None]),
-        effects=tuple(effects.values()),
+        effects=space.effects,
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
         lifts=lifts,
@@ -471,13 +471,6 @@ def build(
         tables=tables,
         **settings,
     )
-
-
-def _digest(space: Discretisation, effects: Iterable[Any], yields: Sequence[Yield]) -> str:
-    """A checksum of what the unknowns are, internal ones too."""
-    known = [one.slopes for one in yields if one.slopes is not None]
-    places = [effect.cells(space) for effect in effects if hasattr(effect, "plastic_strain")]
-    return space.digest(*known, *places)
 
 
 def _check_words(units: Any, title: Any, **_: Any) -> None:
@@ -510,8 +503,10 @@ def _with_effects(
     )
 
 
-def _check_directions(given: Discretisation, space: Discretisation) -> None:
+def _check_directions(given: Discretisation, space: Discretisation, u0: Any) -> None:
     """Refuse numbers for unknowns that effects turn to other directions."""
+    if isinstance(u0, Initial) or not np.any(u0):
+        return
     if np.abs(given.extension - space.extension).max() > PARALLEL:
         raise InputError(
             "u0: friction turns unknowns of this space to normals and tangents, so that numbers "
