@@ -255,6 +255,13 @@ def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given():
         sol.error_bound(variation=lambda t: -t)
 
 
+def test_a_scale_that_is_known_as_rows_alone_is_sampled():
+    C = so.Moving(so.Box(-1, 1), so.Sine(3.0, 4.0), so.VectorTable([0, 1, 5], [[1], [2], [1]]))
+    sol = so.solve(so.SweepingProcess(0.5, 1.0, C, 0.0), t_end=5.0, steps=40)
+    with pytest.warns(so.BoundWarning, match=r"scale\(t\) is a function"):
+        assert not sol.error_bound().guaranteed
+
+
 def test_a_set_that_is_a_function_needs_its_variation_too():
     def C(t):
         return so.Box(2 * np.sin(t) - 1 - 0.2 * t, 2 * np.sin(t) + 1 + 0.1 * t)

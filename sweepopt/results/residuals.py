@@ -136,36 +136,12 @@ class _Model(NamedTuple):
     distance: Array
     members: list[Array] | None = None
 
-
-class _Part(NamedTuple):
-    """A model on some intervals, those of one curve after those of another.
-
-    With polynomials in the place of its histories: of the center, of the offsets or of each scale.
-    """
-
-    intervals: Intervals
-    center: Interpolated
-    offsets: Interpolated | None
-    scales: list[Interpolated]
-    shapes: list[list[ConvexSet]]
-    distance: Array
-
-    @classmethod
-    def of(cls, model: _Model, part: slice, count: int) -> _Part:
-        """These intervals for so many curves."""
-        step, begin, end = (x[part] for x in model.intervals)
-
-        def polynomials(f: TimeFunction) -> Interpolated:
-            return Interpolated(*(np.concatenate([x] * count) for x in interpolate(f, begin, end)))
-
-        offsets = model.motion.offsets
-        return cls(
-            Intervals(*(np.tile(x, count) for x in (step, begin, end))),
-            polynomials(model.motion.center),
-            None if offsets is None else polynomials(offsets),
-            [polynomials(scale) for scale, _ in model.summands],
-            [S if len(S) == 1 else S[part] * count for _, S in model.summands],
-            np.tile(model.distance[part], count),
+    def on(self, some: slice, copies: int) -> _Model:
+        """The same on some of the intervals, so many times."""
+        return self._replace(
+            intervals=Intervals(*(np.tile(x[some], copies) for x in self.intervals)),
+            summands=[(r, S[some] * copies if len(S) > 1 else S) for r, S in self.summands],
+            distance=np.tile(self.distance[some], copies),
         )
 
 
@@ -198,33 +174,26 @@ def residuals(
     members : ndarray, shape (n, dim), optional
         Points of C(t), a Moving set, at these.
     """
-    process = norms.process
-    data, points = motion(process.C), None
-    reason = _unknown(process.C, data)
-    if not data.disjoint:
-        forces = applied(process.A, speed)
-        if process.B is not None:
-            forces += applied(process.B, nodes.u[1:])
-        points = _points_of_several(data, nodes.t[1:], forces, speed)
-    elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
-        points = [(members - data.center.at(nodes.t[1:])) / scale]
+    data = motion(norms.process.C)
     for parts in PARTS_OF_ROWS if data.offsets else (1,):
-        model = _model(norms, data, reason, nodes, variation, points, parts)
+        model, reason = _model(norms, data, nodes, variation, speed, members, parts)
         # coefficients of a polynomial may be offsets of no set on long steps
         with suppress(EmptySetError):
-            known = bool(model.summands) and model.motion.center.bounded
-            for r, (S, *_) in model.summands:
-                known = known and (S.certifiable or not reason) and r.bounded
-            return _bounds(norms, nodes, curves, model), "" if known else reason
-    return _bounds(norms, nodes, curves, _on_steps(process, nodes)), NEARLY_EMPTY
+            return _bounds(norms, nodes, curves, model), reason
+    return _bounds(norms, nodes, curves, _on_steps(norms.process, nodes)), NEARLY_EMPTY
 
 
-def _points_of_several(data: Motion, times: Array, forces: Array, speed: Array) -> list[Array]:
-    """Points of each S at times at which forces are in C(t), normal to -speed.
+def _points_of_several(
+    process: SweepingProcess, data: Motion, nodes: Nodes, speed: Array
+) -> list[Array]:
+    """Points of each S at all nodes but the first, where forces are in C(t), normal to -speed.
 
     They are those that C(t) has at forces - c speed: next to these the points of its boundary are
     known to rounding, which the projection of a point of the boundary itself is not.
     """
+    times, forces = nodes.t[1:], applied(process.A, speed)
+    if process.B is not None:
+        forces += applied(process.B, nodes.u[1:])
     sizes = np.column_stack([scale.at(times)[:, 0] for scale, _ in data.summands])
     sizes = np.maximum(sizes, LEAST_SCALE * sizes.max(axis=0))
     forces = forces - data.center.at(times)
@@ -240,16 +209,16 @@ def _unknown(C: AnySet, data: Motion) -> str:
         kind = "made of sets that move separately" if known else "a function of time"
         remedy = "" if known else ", in a scene with a history in the place of t in a formula"
         return f"C(t) is {kind}: write it as a Moving set{remedy}, or take error_bound(variation=)"
-    parts = [(data.name, data.offsets or data.center)]
+    parts = [(data.name, (data.offsets or data.center).bounded)]
     summands: Any = data.summands
     for scale, S in summands:
-        parts.append(("scale", scale))
+        parts.append(("scale", scale.function is None and scale.bounded))
         if data.offsets is not None and not S.exact_rows:
             return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
         if data.offsets is None and not S.certifiable:
             return f"nothing is proved of {kind_without_certificate(S)}"
-    for name, f in parts:
-        if not f.bounded:
+    for name, bounded in parts:
+        if not bounded:
             return (
                 f"{name}(t) is a function, known at some times only: give it as so.Separable or "
                 "so.Table, in a scene by a history, or take error_bound(variation=)"
@@ -260,31 +229,37 @@ def _unknown(C: AnySet, data: Motion) -> str:
 def _model(
     norms: Norms,
     data: Motion,
-    reason: str,
     nodes: Nodes,
     variation: Callable[[float], float] | None,
-    members: list[Array] | None,
+    speed: Array,
+    members: Array | None,
     parts: int,
-) -> _Model:
-    """What is known of C(t) on intervals that cover the steps."""
-    moving: Motion | None = None if reason and data.offsets else data
+) -> tuple[_Model, str]:
+    """What is known of C(t) on intervals that cover the steps, and what is not."""
+    process, points = norms.process, None
     if variation is not None and not data.center.bounded:
-        moving = _with_variation(data, variation)
-    summands = [(r, [S]) for r, S in moving.summands] if moving else []
-    if moving and summands and all(r.function is None for r, _ in summands):
-        sharp = members is not None or all(S.sharp_gaps for _, (S,) in summands)
-        intervals = smooth_intervals(moving, nodes.t, parts if sharp else PARTS_OF_STEP)
-        return _Model(moving, intervals, summands, np.zeros(len(intervals.step)), members)
-    process = norms.process
+        data = _with_variation(data, variation)
+    reason = _unknown(process.C, data)
+    is_data = all(scale.function is None for scale, _ in data.summands)
+    if data.summands and is_data and not (reason and data.offsets):
+        if not data.disjoint:
+            points = _points_of_several(process, data, nodes, speed)
+        elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
+            points = [(members - data.center.at(nodes.t[1:])) / scale]
+        sharp = points is not None or all(S.sharp_gaps for _, S in data.summands)
+        intervals = smooth_intervals(data, nodes.t, parts if sharp else PARTS_OF_STEP)
+        summands = [(scale, [S]) for scale, S in data.summands]
+        return _Model(data, intervals, summands, np.zeros(len(intervals.step)), points), reason
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
-        return model
+        return model, reason
     intervals = smooth_intervals(model.motion, nodes.t, SETS_OF_STEP)
     middles = 0.5 * (intervals.begin + intervals.end)
     shapes = [process.C.at(t) for t in middles.tolist()]
     halves = np.sort(np.concatenate([nodes.t[:1], middles, intervals.end]))
     distance = increments(variation, halves).reshape(-1, 2).max(axis=1)
-    return model._replace(intervals=intervals, summands=[(ONE, shapes)], distance=distance)
+    model = model._replace(intervals=intervals, summands=[(ONE, shapes)], distance=distance)
+    return model, "" if all(S.certifiable for S in shapes) else reason
 
 
 def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
@@ -294,14 +269,11 @@ def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
     return _Model(Motion((), TimeFunction((), process.dim)), steps, [], np.zeros(n))
 
 
-def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
-    """Translates of a bounded set are as far apart as their centers."""
-    if len(moving.summands) != 1:
-        return None
-    ((scale, shape),) = moving.summands
-    if not scale.constant or not math.isfinite(shape.magnitude()):
-        return None
-    center = moving.center
+def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion:
+    """Translates of a bounded set are as far apart as their centers; of others nothing is known."""
+    center, only = moving.center, len(moving.summands) == 1
+    if not (only and all(r.constant and S.magnitude() < math.inf for r, S in moving.summands)):
+        return Motion((), center)
     value = center.function or (lambda t: center.at(np.array([t]))[0])
 
     def between(a: float, b: float) -> float:
@@ -319,8 +291,7 @@ def _bounds(norms: Norms, nodes: Nodes, curves: Array, model: _Model) -> Residua
     for start in range(0, len(step), many):
         some = slice(start, start + many)
         slopes = np.concatenate(curves[:, step[some]])
-        part = _Part.of(model, some, count)
-        each = _on_intervals(norms, nodes, slopes, model, part, sizes)
+        each = _on_intervals(norms, nodes, slopes, model.on(some, count), sizes)
         parts.append([x.reshape(count, -1, *x.shape[1:]) for x in each])
     of_all = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
     gaps, squares, turning, size, begin, end, error = of_all
@@ -335,20 +306,16 @@ def _bounds(norms: Norms, nodes: Nodes, curves: Array, model: _Model) -> Residua
 
 
 def _on_intervals(
-    norms: Norms,
-    nodes: Nodes,
-    slopes: Array,
-    model: _Model,
-    part: _Part,
-    sizes: list[Array],
+    norms: Norms, nodes: Nodes, slopes: Array, model: _Model, sizes: list[Array]
 ) -> Residuals:
     """Those of curves on intervals, each with its slopes of shape (3, dim)."""
-    i, a, b = part.intervals
+    i, a, b = model.intervals
+    center = interpolate(model.motion.center, a, b)
     h, length = nodes.t[i + 1] - nodes.t[i], b - a
     stiff = (h * norms.Lam > LEAST_STIFFNESS) | norms.weak
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
-    force = force_along(norms.process, nodes, slopes, i, theta) - part.center.values
+    force = force_along(norms.process, nodes, slopes, i, theta) - center.values
     velocity = basis(2, theta) @ slopes
     aim = force - norms.coercivity * velocity
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
@@ -356,15 +323,14 @@ def _on_intervals(
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
     if not model.summands:
         w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
-    elif part.offsets is None:
-        w, gaps, moved = np.zeros_like(force), 2 * speed * part.distance, part.distance
-        known: list[Any] = [None] * len(part.scales)
+    elif model.motion.offsets is None:
+        w, gaps, moved = np.zeros_like(force), 2 * speed * model.distance, model.distance
+        scales = [interpolate(f, a, b) for f, _ in model.summands]
+        known: list[Any] = [None] * len(scales)
         if model.members:
-            known = _known_curves(model.members, part, begin + share * THIRDS, force, slopes)
-        error, error_B, turning = _of_interpolation(part.center, part.center.slope_error, sizes)
-        for (f, _), shapes, scale, s in zip(
-            model.summands, part.shapes, part.scales, known, strict=True
-        ):
+            known = _known_curves(model, scales, begin + share * THIRDS, force, slopes)
+        error, error_B, turning = _of_interpolation(center, center.slope_error, sizes)
+        for (f, shapes), scale, s in zip(model.summands, scales, known, strict=True):
             # a curve that is moved has no bound of int |r'|
             s, of_w, gap, distance = _within_shape(
                 norms, f, shapes, s, scale, aim, directions, ~stiff
@@ -378,7 +344,8 @@ def _on_intervals(
         error = error + moved / math.sqrt(norms.A.beta)
     else:
         ((_, (S,)),) = model.summands
-        w, gaps = _within_rows(S, model.motion.offsets, aim, directions, part.offsets)
+        f = model.motion.offsets
+        w, gaps = _within_rows(S, f, aim, directions, interpolate(f, a, b))
     r = TO_LOBATTO @ (force - w)
     squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
@@ -396,7 +363,7 @@ def _on_intervals(
 
 
 def _known_curves(
-    members: list[Array], part: _Part, theta: Array, force: Array, slopes: Array
+    model: _Model, scales: list[Interpolated], theta: Array, force: Array, slopes: Array
 ) -> list[Array]:
     """A curve in each S through its points at nodes, at the shares theta of the steps.
 
@@ -407,12 +374,12 @@ def _known_curves(
     curves = []
     n = slopes.mean(axis=1, keepdims=True)
     n /= np.maximum(np.linalg.norm(n, axis=2, keepdims=True), np.finfo(float).tiny)
-    for points in members:
-        first, last = (points[np.maximum(part.intervals.step - k, 0), None] for k in (1, 0))
+    for points in model.members or ():
+        first, last = (points[np.maximum(model.intervals.step - k, 0), None] for k in (1, 0))
         curves.append(first + theta[:, :, None] * (last - first))
-    sizes = [TO_BERNSTEIN @ scale.values for scale in part.scales]
+    sizes = [TO_BERNSTEIN @ scale.values for scale in scales]
     rest = TO_BERNSTEIN @ force - sum(size * s for size, s in zip(sizes, curves, strict=True))
-    for k, (size, shapes) in enumerate(zip(sizes, part.shapes, strict=True)):
+    for k, (size, (_, shapes)) in enumerate(zip(sizes, model.summands, strict=True)):
         if shapes[0].exact:
             rest -= n * (rest * n).sum(axis=2, keepdims=True)
             rest += size * curves[k]
