@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError, shown
-from sweepopt.loads import History, Separable, VectorTable, breakpoints
+from sweepopt.loads import History, VectorTable, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
@@ -67,17 +67,10 @@ def smooth_intervals(moving: Motion, t: Array, parts: int = 1) -> Intervals:
 def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
     """Interpolate on intervals between breakpoints."""
     h, m = end - begin, len(begin)
-    times = (begin[:, None] + h[:, None] * GAUSS).ravel()
-    terms: list[tuple[Any, Any, Any]] = [
-        (Separable([(phi, [1.0])]).at_many, vector, phi) for phi, vector in f.terms
-    ]
-    if f.function is not None:
-        terms = [(f.at, 1.0, f)]
-    values, errors = np.zeros((m, 4, f.dim)), np.zeros((m, len(terms), 2))
-    for k, (function, vector, history) in enumerate(terms):
-        samples = function(times).reshape(m, 4, -1)
-        values += samples * vector
-        if isinstance(f.function, VectorTable):
+    values = f.at((begin[:, None] + h[:, None] * GAUSS).ravel()).reshape(m, 4, f.dim)
+    errors = np.zeros((m, len(f.histories), 2))
+    for k, history in enumerate(f.histories):
+        if isinstance(history, VectorTable):
             continue  # straight between its breakpoints
         if hasattr(history, "piece"):
             # |(phi - p)^(k)| <= max |omega^(k)| max |phi^(4)| / 4!, omega = prod (x - x_g), for
@@ -85,23 +78,26 @@ def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
             # polynomial, whose slope at an end of [0, 1] is 4 * 5 times its value there
             fourth = _derivative(history, 4, begin, end) * h**4
             errors[:, k] = np.outer(fourth / 24, [NODAL, 4 * 5 * NODAL])
-        elif getattr(history, "variation", None) is not None:
-            for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
-                errors[i, k] = _by_variation(function, history, a, b, samples[i])
+        elif f.bounded:
+            function, variation = f, f.variation
+            if variation is None:
+                function, variation = TimeFunction.of(history, 1), history.variation
+            for i, ends in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+                errors[i, k] = _by_variation(function, history, variation, *ends)
     return Interpolated(values, errors[..., 0], errors[..., 1])
 
 
 def _by_variation(
-    f: Callable[[Array], Array], history: Any, a: float, b: float, values: Array
+    f: TimeFunction, history: Any, variation: Callable[[float, float], float], a: float, b: float
 ) -> tuple[float, float]:
     """Both errors of a function of which only the variation is known, from samples on parts.
 
     On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
     """
-    times = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES
-    e = np.linalg.norm(f(times) - GAUSS_TO_PARTS @ values, axis=1)
+    times, values = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES, f.at(a + (b - a) * GAUSS)
+    e = np.linalg.norm(f.at(times) - GAUSS_TO_PARTS @ values, axis=1)
     slopes = 3 * np.linalg.norm(np.diff(TO_BERNSTEIN @ values, axis=0), axis=1)
-    varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
+    varies = np.array([variation(*ends) for ends in itertools.pairwise(times.tolist())])
     if varies.min() < -1e-9 * np.abs(values).max():  # less is what V(b) - V(a) rounds
         raise InputError(
             f"variation(a, b) of {shown(history)} must not be negative, but it is between t = "
@@ -170,22 +166,21 @@ to 2.1, 2.1 and 1.9 times looser (84 stiff rows)."""
 
 def slopes_of_curves(nodes: Nodes, velocities: Array, chosen: Sequence[str]) -> Array:
     """Bernstein coefficients of v', shape (c, n, 3, dim), of some of CURVES through the nodes."""
-    mean = nodes.velocity
-    curves = np.empty((len(chosen), len(mean), 3, mean.shape[1]))
-    for curve, name in zip(curves, chosen, strict=True):
-        if name == "straight":
-            curve[:] = mean[:, None]
-            continue
-        slopes = velocities if name == "velocities" else _parabolas(nodes)
-        curve[:, 0], curve[:, 2] = slopes[:-1], slopes[1:]
-        curve[:, 1] = 3 * mean - slopes[:-1] - slopes[1:]
-    return curves
-
-
-def _parabolas(nodes: Nodes) -> Array:
     mean, h = nodes.velocity, np.diff(nodes.t)[:, None]
     inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
-    return np.concatenate([mean[:1], inner, mean[-1:]])
+    parabolas = np.concatenate([mean[:1], inner, mean[-1:]])
+    ends = {
+        "straight": (mean, mean),
+        "velocities": (velocities[:-1], velocities[1:]),
+        "parabolas": (parabolas[:-1], parabolas[1:]),
+    }
+    # the sum of the three is 3 mean; where both ends are the mean so is the middle, to the last bit
+    return np.stack(
+        [
+            np.stack([first, mean + (mean - first) + (mean - last), last], axis=1)
+            for first, last in map(ends.__getitem__, chosen)
+        ]
+    )
 
 
 def force_along(

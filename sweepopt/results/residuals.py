@@ -319,7 +319,7 @@ def _on_intervals(
     velocity = basis(2, theta) @ slopes
     aim = force - norms.coercivity * velocity
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
-    moved = error = error_B = turning = np.zeros(len(a))
+    moved, errors = np.zeros(len(a)), np.zeros((3, len(a)))
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
     if not model.summands:
         w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
@@ -329,7 +329,7 @@ def _on_intervals(
         known: list[Any] = [None] * len(scales)
         if model.members:
             known = _known_curves(model, scales, begin + share * THIRDS, force, slopes)
-        error, error_B, turning = _of_interpolation(center, center.slope_error, sizes)
+        errors = _of_interpolation(center, center.slope_error, sizes)
         for (f, shapes), scale, s in zip(model.summands, scales, known, strict=True):
             # a curve that is moved has no bound of int |r'|
             s, of_w, gap, distance = _within_shape(
@@ -339,14 +339,13 @@ def _on_intervals(
             if scale.error.any():
                 # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
                 slope_error = scale.slope_error + 6 * scale.error
-                more = _of_interpolation(scale, slope_error, _sizes_along(norms, f, s))
-                error, error_B, turning = error + more[0], error_B + more[1], turning + more[2]
-        error = error + moved / math.sqrt(norms.A.beta)
+                errors += _of_interpolation(scale, slope_error, _sizes_along(norms, f, s))
+        errors[0] += moved / math.sqrt(norms.A.beta)
     else:
         ((_, (S,)),) = model.summands
         f = model.motion.offsets
         w, gaps = _within_rows(S, f, aim, directions, interpolate(f, a, b))
-    r = TO_LOBATTO @ (force - w)
+    (error, error_B, turning), r = errors, TO_LOBATTO @ (force - w)
     squares, varies, size = np.full((3, len(a)), np.inf)
     if not norms.weak:  # Minkowski: the interpolation error adds up in the norm
         of_r = norms.A.dual_products(r, np.sqrt(2 * gaps))
@@ -464,13 +463,13 @@ def _sizes_along(norms: Norms, scale: TimeFunction, s: Array) -> list[Array]:
     return [norm.dual(vectors).max(axis=1) for norm in (norms.A, norms.B)]
 
 
-def _of_interpolation(of: Interpolated, slopes: Array, sizes: list[Array]) -> list[Array]:
+def _of_interpolation(of: Interpolated, slopes: Array, sizes: list[Array]) -> Array:
     """What the errors of a function with vectors of these sizes add to |r|, in both dual norms.
 
     And to int |r'| in that of B, where the derivative is wrong by `slopes`.
     """
     pairs = (of.error, sizes[0]), (of.error, sizes[1]), (slopes, sizes[1])
-    return [np.where(e == 0, 0.0, e * size).sum(axis=1) for e, size in pairs]
+    return np.array([np.where(e == 0, 0.0, e * size).sum(axis=1) for e, size in pairs])
 
 
 def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Array:

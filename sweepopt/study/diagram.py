@@ -123,8 +123,8 @@ def trajectories(solutions: Mapping[str, Solution]) -> Any:
         ax.plot(t, u)
         ax.set(xlabel="t", ylabel=f"u[{k}]")
         if isinstance(bound, ErrorBound):  # |u_k - u_n,k| <= |e|_A sqrt((A^-1)_kk)
-            inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
-            band = np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
+            width = solution.process.metric.dual_norm(np.eye(1, solution.process.dim, k)[0])
+            band = width * np.append(bound.of_t[:1], bound.of_t)
             ax.fill_between(t, u - band, u + band, alpha=0.25)
     return ax
 
