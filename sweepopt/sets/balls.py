@@ -239,18 +239,17 @@ class SecondOrderCone(ConvexSet):
 
     def blocks(self, v: Array) -> list[Blocks]:
         height, arms, length = self._split(v)
-        k, D = self.slopes, np.tile(np.eye(self.block), (self.slopes.size, 1, 1))
-        D[(k * length <= -height) & (length > k * height)] = 0.0
-        out = (length > k * height) & (k * length > -height)
-        k, height, length = k[out], height[out], length[out]
+        k, one = self.slopes, np.eye(self.block)
+        beside = length > k * height
+        out = beside & (k * length > -height)
         # top = <a, w> for a = (1, k n) / (1 + k^2), and w goes to top (1, k n)
-        n = arms[out] / length[:, None]
+        n = np.divide(arms.T, length, out=np.zeros(arms.T.shape), where=out).T
         ray = np.column_stack([np.ones_like(k), k[:, None] * n])
-        D[out] = ray[:, :, None] * ray[:, None, :] / (1 + k**2)[:, None, None]
-        turn = k * (height + k * length) / ((1 + k**2) * length)
-        across = np.eye(self.block - 1) - n[:, :, None] * n[:, None, :]
-        D[out, 1:, 1:] += turn[:, None, None] * across
-        return [neighbours(D)]
+        turn = np.divide(k * (height + k * length), length, out=np.zeros_like(k), where=out)
+        D = ray[:, :, None] * ray[:, None]
+        D[:, 1:, 1:] += turn[:, None, None] * (one[1:, 1:] - n[:, :, None] * n[:, None])
+        D *= (out / (1 + k**2))[:, None, None]
+        return [neighbours(np.where(beside[:, None, None], D, one))]
 
     def exchange(self, diagonal: Array) -> Array:
         each = diagonal.reshape(-1, self.block)

@@ -93,19 +93,14 @@ class Box(ConvexSet):
     def project_rows(self, rows: Array) -> Array:
         return np.minimum(np.maximum(rows, self.lower), self.upper)
 
-    def gap(self, p: Array, w: Array) -> float:
-        return float(self._gaps(p[None], w[None])[0, 0])
-
     def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
-        gaps = (self._gaps(p, w) * products(2, w.shape[1] - 1)).sum(axis=(1, 2))
-        return CurveGaps(gaps, np.zeros_like(gaps))
-
-    def _gaps(self, p: Array, w: Array) -> Array:
         # entry by entry: what cancels cancels to 0.0
-        still = p == 0
-        side = np.where(still, 0.0, np.where(p > 0, self.upper, self.lower))[..., :, None, :]
-        slack = np.where(still[..., :, None, :], 0.0, side - w[..., None, :, :])
-        return np.maximum((slack * p[..., :, None, :]).sum(axis=-1), 0.0)
+        p, w = p[:, :, None], w[:, None]
+        side = np.where(p > 0, self.upper, self.lower)
+        slack = np.subtract(side, w, out=np.zeros(side.shape[:2] + w.shape[2:]), where=p != 0)
+        each = np.maximum((slack * p).sum(axis=3), 0.0)
+        gaps = (products(2, w.shape[2] - 1) * each).sum(axis=(1, 2))
+        return CurveGaps(gaps, np.zeros_like(gaps))
 
     def features(self, p: cp.Expression) -> Features:
         return rows_features(self._matrix, p)
