@@ -52,6 +52,12 @@ def block(load, A=0.5, B=2.0, u0=0.0):
     return so.SweepingProcess(A, B, so.Moving(so.Box(-1, 1), load), u0)
 
 
+def isotropic(C, A=1.0, B=None):
+    """The process of C from 0 whose A and B are multiples of the identity."""
+    one = np.eye(C.dim)
+    return so.SweepingProcess(A * one, None if B is None else B * one, C, np.zeros(C.dim))
+
+
 def close_bound(sol, times, u, most, known=1.0):
     """The bound of a run is guaranteed, above its error and at most so many times it.
 

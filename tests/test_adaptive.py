@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import tqdm.auto
-from cases import block, refuses, slow, springs
+from cases import block, isotropic, refuses, slow, springs
 from reference_cases import SETS, case
 
 import sweepopt as so
@@ -323,7 +323,7 @@ class Wave:
 @pytest.mark.parametrize("period", [None, math.nan, math.inf, 0, "long", np.ones(2), np.pi])
 def test_a_period_that_is_no_positive_number_limits_no_steps(period):
     load = Wave(period)
-    process = so.SweepingProcess(0.5, 2.0, so.Moving(so.Box(-1, 1), load), 0.0)
+    process = block(load)
     assert so.solve(process, t_end=8.0, steps=so.Adaptive(1e-2)).success
 
 
@@ -374,7 +374,7 @@ def test_of_a_body_whose_contact_alone_moves_nothing_else_enters_a_step():
 
 
 def test_a_body_that_never_moves_is_done_after_two_coarse_passes():
-    process = so.SweepingProcess(1.0, 1.0, so.Box(-1, 1), u0=0.0)
+    process = isotropic(so.Box(-1, 1), 1.0, 1.0)
     sol = so.solve(process, t_end=1.0, steps=so.Adaptive(1e-6))
     assert not sol.u.any()
     assert len(sol.passes) == 2
@@ -431,7 +431,7 @@ def test_a_smooth_dense_table_takes_as_many_steps_as_the_curve_that_it_samples(t
 def test_a_load_known_at_multiples_of_a_step_alone_is_told_what_adaptive_needs():
     known = {round(0.1 * k, 9): [1.5 * k] for k in range(81)}
     C = so.Moving(so.Box(-1, 1), lambda t: known[round(t, 9)])
-    process = so.SweepingProcess(0.5, 2.0, C, 0.0)
+    process = isotropic(C, 0.5, 2.0)
     with pytest.raises(KeyError) as failure:
         so.solve(process, t_end=8.0, steps=so.Adaptive(1e-2))
     assert "give these times as steps=, or the load as a Table" in failure.value.__notes__[-1]

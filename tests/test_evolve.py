@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import SQUARE, block, refuses
+from cases import SQUARE, block, isotropic, refuses
 from reference_cases import case
 
 import sweepopt as so
@@ -144,7 +144,7 @@ def test_auto_is_sdirk32_for_steps_of_any_length_and_the_plan_says_why():
 def test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets():
     """Adly and Haddad, Lemma 2.3: cut with a ball that is large enough C(t) moves u as before."""
     process = case("P10").process  # C(t) is a half-line
-    truncated = so.SweepingProcess(0.5, 1.0, process.C & so.Ball(np.zeros(1), 50), 0)
+    truncated = isotropic(process.C & so.Ball(np.zeros(1), 50), 0.5, 1.0)
     plain, sol = (so.solve(each, t_end=16.0, steps=25) for each in (process, truncated))
     assert sol.success
     assert sol.u == pytest.approx(plain.u, abs=1e-9)
@@ -214,7 +214,7 @@ def test_warnings_name_the_line_of_the_user(how):
 
 def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times():
     # B = 0 and M = 1: u gains the size of each step
-    process = so.SweepingProcess(1.0, 0.0, so.Point(1.0), 0.0)
+    process = isotropic(so.Point(1.0), 1.0, 0.0)
     times = 1.7e9 + np.append(0.0, np.cumsum(1.0 + 3e-4 * np.linspace(0, 1, 300)))
     with pytest.warns(so.InitialStateWarning):
         sol = so.solve(process, steps=times)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import SQUARE, block, random_process, refuses, slope, worst_certificate
+from cases import SQUARE, block, isotropic, random_process, refuses, slope, worst_certificate
 from reference_cases import GRIDS, REFERENCE, case, embedded
 
 import sweepopt as so
@@ -324,7 +324,7 @@ def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches(
 
 def refused(C):
     """A process that the scheme does not apply to, for data/refused.txt."""
-    process = so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim))
+    process = isotropic(C)
     so.solve(process, t_end=1.0, steps=10, scheme="exact")
 
 

@@ -5,7 +5,7 @@ import warnings
 import cvxpy as cp
 import numpy as np
 import pytest
-from cases import block, refuses
+from cases import block, isotropic, refuses
 from reference_cases import SETS, case, embedded
 from scipy.integrate import odeint, solve_ivp
 
@@ -40,7 +40,7 @@ def inclusion(process, t, u, z):
 
 def test_at_the_threshold_to_rounding_nothing_moves():
     C = so.Moving(so.Box(-0.3, 0.3), so.Separable([(so.Constant(1.0), 0.1)]))
-    velocity = so.velocity_field(so.SweepingProcess(1.0, 1.0, C, 0.0))
+    velocity = so.velocity_field(isotropic(C, 1.0, 1.0))
     assert velocity(0.0, [0.1 + 0.2 + 0.1]).tolist() == [0.0]
     assert velocity(0.0, [0.4 + 1e-13])[0] < 0.0
 
@@ -95,7 +95,7 @@ def test_a_missed_tolerance_raises_with_its_time(name):
 def test_a_set_that_is_known_later_only_is_compiled_by_the_first_call():
     record = so.Table([2.0, 3.0, 4.0], [0.0, 2.0, 2.0])
     C = so.Moving(so.Ball([0.0, 0.0], 1.0), so.Separable([(record, [1.0, 0.0])]))
-    velocity = so.velocity_field(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]))
+    velocity = so.velocity_field(isotropic(C))
     assert velocity(3.5, [0.0, 0.0]) == pytest.approx([1.0, 0.0])
     with refuses("lies outside the table"):
         velocity(1.0, [0.0, 0.0])

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from cases import block, refuses
+from cases import block, isotropic, refuses
 
 import sweepopt as so
 from sweepopt import Constant, Polynomial, Separable, Sine, Table, Triangle
@@ -94,11 +94,11 @@ def test_a_product_of_histories_bounds_its_values_and_their_variation():
             assert np.abs(phi(t)).max() <= phi.largest(a, b)
     with refuses("the rate of Modulated"):
         phi.rate()
-    process = so.SweepingProcess(1.0, 1.0, so.Moving(so.Box(-1.0, 1.0), phi), 0.0)
+    process = block(phi, 1.0, 1.0)
     with refuses("a Modulated history has no closed form"):
         so.solve(process, t_end=1.0, steps=2, scheme="exact")
     late = so.Moving(so.Box(-1.0, 1.0), so.Modulated(waves[0], table))
-    process = so.SweepingProcess(1.0, 1.0, late, 0.0)
+    process = isotropic(late, 1.0, 1.0)
     with refuses(r"the table, which covers \[0, 2\]"):
         so.solve(process, t_end=3.0, steps=6)
 
@@ -193,5 +193,5 @@ def test_a_ramp_of_two_points_never_turns_and_its_run_has_a_bound():
 def test_a_table_may_end_before_the_run_if_the_users_function_does_not_ask_it_there():
     table = Table([0.0, 1.0], [0.0, 2.0])
     C = so.MovingSet(lambda t: so.Box(-1, 1) + table(min(t, 1.0)), histories=[table])
-    sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.0), t_end=2.0, steps=40)
+    sol = so.solve(isotropic(C, 0.5, 2.0), t_end=2.0, steps=40)
     assert sol.success

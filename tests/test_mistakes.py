@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import refuses
+from cases import isotropic, refuses
 from numpy.testing import assert_allclose, assert_array_equal
 
 import sweepopt as so
@@ -343,7 +343,7 @@ class Orthant(so.ConvexSet):
 
 def of_own(D):
     load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
-    process = so.SweepingProcess(np.eye(2), None, so.Moving(D, load), [0.0, 0.0])
+    process = isotropic(so.Moving(D, load))
     return so.solve(process, t_end=1.0, steps=4)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import SQUARE, refuses, worst_certificate
+from cases import SQUARE, isotropic, refuses, worst_certificate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -117,7 +117,7 @@ def test_a_set_with_a_known_dim_is_not_asked_for_before_it_starts():
     with refuses(r"at t = 0: the table .*; give dim= if"):
         so.MovingSet(lambda t: so.Ball(from_five(t), 1.0))
     load = so.Polyhedron([[1.0], [-1.0]], lambda t: from_five(t)[:2] + 5 * (t - 5))
-    process = so.SweepingProcess(1.0, None, load, 0.0)
+    process = isotropic(load)
     assert so.solve(process, steps=np.linspace(5, 6, 5)).t[0] == 5.0
 
 
@@ -249,13 +249,13 @@ def test_a_lipschitz_matrix_that_is_too_small_is_found_by_the_iteration():
 
     C = so.StateDependent(friction, 0.01)
     with refuses(r"lipschitz of C\(t, u\) is too small: at t = "):
-        so.solve(so.SweepingProcess(1.0, None, C, 0.0), t_end=1.0, steps=10)
+        so.solve(isotropic(C), t_end=1.0, steps=10)
 
 
 def test_what_a_set_adds_to_the_rate_counts_for_the_step_of_the_explicit_scheme():
     def run(steps):
         C = so.StateDependent(lambda t, u: so.Box(t - 1 - 10 * abs(u), t + 1 + 10 * abs(u)), 10)
-        process = so.SweepingProcess(1.0, None, C, 0.0)
+        process = isotropic(C)
         return so.solve(process, t_end=2.0, steps=steps, scheme="catching-up")
 
     with pytest.raises(so.UnstableStepError, match=r"step \* Lam = 5; take steps <= 0\.1"):

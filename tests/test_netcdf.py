@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from cases import SQUARE, refuses
+from cases import SQUARE, isotropic, refuses
 from meshes import report_of, ring, run_of, smooth
 from numpy.testing import assert_array_equal
 
@@ -98,7 +98,7 @@ def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(tmp_
 
 def test_any_solution_becomes_a_dataset():
     C = so.Moving(SQUARE, center=lambda t: [1.5 * t, 0.0])
-    solution = so.solve(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, [0, 0]), t_end=3.0, steps=9)
+    solution = so.solve(isotropic(C, 1.0, 2), t_end=3.0, steps=9)
     dataset = solution.to_xarray()
     assert_described(dataset)
     assert dict(dataset.sizes) == {"time": 10, "unknown": 2, "step": 9}

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from cases import refuses, slow
+from cases import isotropic, refuses, slow
 from matplotlib import rc_context
 from matplotlib.collections import PathCollection, QuadMesh, TriMesh
 from matplotlib.colors import to_hex, to_rgb
@@ -190,7 +190,7 @@ def stick_slip(dim):
     """Each component has a share of the load: some slip, the last one sticks."""
     shares = np.linspace(3.0, 0.1, dim)
     C = so.Moving(so.Box(-np.ones(dim), np.ones(dim)), center=lambda t: shares * math.sin(2.0 * t))
-    process = so.SweepingProcess(np.eye(dim), np.eye(dim), C, np.zeros(dim))
+    process = isotropic(C, 1.0, 1.0)
     return so.solve(process, t_end=4.0, steps=40)
 
 
@@ -244,7 +244,7 @@ def test_one_unknown_is_drawn_with_its_velocity_and_the_force_inside_of_the_tube
 
 def test_two_unknowns_are_drawn_as_a_path_beside_the_set():
     C = so.Moving(so.Ball([0.0, 0.0], 1.0), lambda t: [2.0 * t, t])
-    solution = so.solve(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]), t_end=2.0, steps=40)
+    solution = so.solve(isotropic(C), t_end=2.0, steps=40)
     path, force = solution.plot().figure.axes
     assert (path.get_xlabel(), path.get_ylabel()) == ("u[0]", "u[1]")
     assert_array_equal(path.lines[0].get_xydata(), solution.u)
@@ -260,7 +260,7 @@ LENS = so.Ball([0.0, 0.0], 1.0) & so.Ball([0.6, 0.0], 1.0)
 
 @pytest.mark.parametrize("C, sets", [(LENS, 2), (so.HalfSpace([1.0, 0.0], 0.5), 0)])
 def test_a_set_in_the_legend_is_drawn_and_one_without_an_outline_is_not_there(C, sets):
-    process = so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0])
+    process = isotropic(C)
     panel = so.solve(process, t_end=1.0, steps=2).plot().figure.axes[1]
     drawn = [line.get_xydata() for line in panel.lines[1:]]
     assert len(panel.get_legend().get_texts()) == len(drawn) + 1 == sets + 1
@@ -282,7 +282,7 @@ def test_an_animation_shows_each_time_once(dim, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("steps", [60, 90])
 def test_even_times_that_miss_a_node_by_rounding_are_that_node(steps):
-    solution = so.solve(so.SweepingProcess(1.0, None, so.Box(-1, 1), 0.0), t_end=1.0, steps=steps)
+    solution = so.solve(isotropic(so.Box(-1, 1)), t_end=1.0, steps=steps)
     for parts in range(2, steps):
         if steps % parts == 0:
             chosen = plot.even_steps(solution, parts)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.sparse as sp
-from cases import SQUARE, block, random_process, refuses, springs
+from cases import SQUARE, block, isotropic, random_process, refuses, springs
 from meshes import square
 from reference_cases import case
 
@@ -56,7 +56,7 @@ def test_the_bound_of_the_paper_asks_for_its_assumption():
     assert (far.distance, far.value) == pytest.approx((7.5, 13.5), rel=1e-14)
     with refuses(r"asks for B u0 in C\(0\), whose distance is 7\.5"):
         outside.velocity_bound([0, 4], paper=True)
-    still = so.SweepingProcess(0.0, 2.0, C, 0.0)
+    still = isotropic(C, 0.0, 2.0)
     with refuses("A coercive"):
         still.velocity_bound([0, 4])
     assert still.variation([0, 4]) == pytest.approx(12 / np.sqrt(2), rel=1e-14)  # B is A's place
@@ -150,7 +150,7 @@ class NeverRuns(so.Clarabel):
 
 def test_an_empty_set_is_refused_with_its_time_before_any_solver_runs():
     C = so.Polyhedron([[1.0], [-1.0]], lambda t: [1 - t, 0.0])
-    process = so.SweepingProcess(1.0, 1.0, C, 0.0)
+    process = isotropic(C, 1.0, 1.0)
     with pytest.raises(so.EmptySetError, match=r"t = 1\.1"):
         so.solve(process, t_end=2.0, steps=20, scheme="catching-up", solver=NeverRuns())
 
@@ -167,7 +167,7 @@ def test_an_empty_set_is_refused_with_its_time_before_any_solver_runs():
     ids=["point", "half-space", "sum", "negative"],
 )
 def test_the_a_priori_bound_holds_for_all_kinds_of_moving_sets(C):
-    process = so.SweepingProcess(np.eye(2), 0.2 * np.eye(2), C, [0, 0])
+    process = isotropic(C, 1.0, 0.2)
     sol = so.solve(process, t_end=2.0, steps=10, scheme="implicit-euler")
     largest = np.linalg.norm(sol.velocity, axis=1).max()
     assert 0 < largest <= process.velocity_bound(np.linspace(0, 2, 11)).value
@@ -175,7 +175,7 @@ def test_the_a_priori_bound_holds_for_all_kinds_of_moving_sets(C):
 
 def test_the_bound_of_a_body_at_rest_is_zero_whatever_its_constants():
     # exp(|B| T / beta) is infinite here, and nothing times it is nothing
-    process = so.SweepingProcess(1e-20, 1.0, so.Box(0, 0), 0.0)
+    process = isotropic(so.Box(0, 0), 1e-20, 1.0)
     assert process.velocity_bound([0.0, 1.0]).value == 0.0
 
 
@@ -188,7 +188,7 @@ def test_beta_is_found_beside_entries_of_another_size():
 
 def test_a_jump_to_an_unbounded_set_is_not_of_bounded_variation():
     C = so.MovingSet(lambda t: so.Box(-1, 1 if t < 0.5 else np.inf))
-    process = so.SweepingProcess(1, None, C, 0)
+    process = isotropic(C)
     for _ in "12":  # every run says so
         with pytest.warns(so.VariationWarning, match=r"t = 0\.5"):
             assert so.solve(process, t_end=1.0, steps=10).success
@@ -231,7 +231,7 @@ JUMPS = [
 @pytest.mark.parametrize("C, message", JUMPS, ids=["table", "scale", "h", "square", "many"])
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_finite_jumps_of_data_are_named_once_with_their_times_and_sizes(C, message):
-    process = so.SweepingProcess(4.0, 1.0, C, 0.0)
+    process = isotropic(C, 4.0, 1.0)
     for steps in (41, so.Adaptive(1e-2)):
         with pytest.warns(so.VariationWarning, match=message) as caught:
             assert so.solve(process, t_end=2.0, steps=steps).success
@@ -242,7 +242,7 @@ def test_the_distance_of_a_jump_that_is_not_known_is_not_made_up():
     h = so.Separable([(STEP, [1.0, 0, 0]), (so.Constant(), [1, 1, 1])])
     C = so.Polyhedron([[1.0, 0], [0, 1], [-1, -1]], h)
     with pytest.warns(so.VariationWarning, match=r"0\.7 by an unknown distance \(h changes by 2\)"):
-        so.SweepingProcess(np.eye(2), None, C, [0, 0]).check_jumps(0.0, 1.0)
+        isotropic(C).check_jumps(0.0, 1.0)
 
 
 def test_steep_noisy_and_fast_loads_are_no_jumps():
@@ -258,7 +258,7 @@ def test_steep_noisy_and_fast_loads_are_no_jumps():
         Square(9.0),
     ):
         C = so.Moving(so.Box(-1, 1), history)
-        so.SweepingProcess(1.0, None, C, 0.0).check_jumps(0.0, 2.0)  # warnings are errors
+        isotropic(C).check_jumps(0.0, 2.0)  # warnings are errors
 
 
 class Disc(so.ConvexSet):
@@ -283,7 +283,7 @@ class Disc(so.ConvexSet):
 
 def agrees(C):
     """Whether the parts of the set, as far as it is looked at, are those of one set."""
-    process = so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim))
+    process = isotropic(C)
     process.check(np.array([0.0, 0.5, 1.0]))
 
 
@@ -337,7 +337,7 @@ def test_many_operations_on_sets_work_or_say_what_to_do():
             C = operation(C)
         with refuses("more than 50 operations on sets are nested"):
             operation(operation(C))
-        process = so.SweepingProcess(np.eye(2), None, C, [0, 0])
+        process = isotropic(C)
         assert so.solve(process, t_end=1.0, steps=2).success  # as deep as is allowed
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
-from cases import SQUARE, worst_certificate
+from cases import SQUARE, isotropic, worst_certificate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -130,7 +130,7 @@ def test_one_compiled_program_serves_all_translates_scales_and_offsets():
     ]
     for C in motions:
         compiled.clear()
-        process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0])
+        process = isotropic(C, 1.0, 1.0)
         times = np.append(np.linspace(0.0, 0.25, 11), np.linspace(0.25, 0.5, 6)[1:])
         sol = so.solve(process, steps=times, solver=Counting(), on_unstable="ignore")
         assert sol.success

@@ -4,7 +4,7 @@ from itertools import cycle
 
 import numpy as np
 import pytest
-from cases import SQUARE, block, slow, worst_certificate
+from cases import SQUARE, block, isotropic, slow, worst_certificate
 from test_checkpoint import Killed, same, stiff, stopping
 
 import sweepopt as so
@@ -14,7 +14,7 @@ LOAD = so.Sine(3.0, 6.0)
 
 def one():
     C = so.Moving(so.Box(-1, 1), LOAD)
-    return so.SweepingProcess(1.0, None, C, 0.0)
+    return isotropic(C)
 
 
 def thin(gap, speed=3.0, height=0.0):
@@ -229,7 +229,7 @@ def test_sets_with_curved_faces_meet_a_tight_tolerance_as_a_whole(name):
     for direction in ([1.0, 0.0], [1.0, 0.5]):
         load = so.Separable([(so.Sine(3.0, 2 * np.pi), direction)])
         C = so.Moving(CURVED[name], load)
-        process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
+        process = isotropic(C, 1.0, 1.0)
         sol = so.solve(process, t_end=6.0, steps=20, tol=1e-11, scheme="midpoint")
         assert worst_certificate(sol) <= 1e-11
         assert set(parts(sol)) == {1}

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import slow
+from cases import isotropic, slow
 
 import sweepopt as so
 from sweepopt.linalg import Factor
@@ -84,7 +84,7 @@ def test_two_solutions_stay_as_near_as_the_theory_says(seed):
 def test_implicit_euler_without_viscosity_is_moreaus_catching_up():
     """With A = 0 and B = I each step is u_{i+1} = P_{C(t_{i+1})}(u_i)."""
     C = so.Moving(so.Ball([0.0, 0.0], 0.5), lambda t: [np.sin(3 * t), t])
-    process = so.SweepingProcess(np.zeros((2, 2)), np.eye(2), C, [0.0, 0.0])
+    process = isotropic(C, 0.0, 1.0)
     sol = so.solve(process, t_end=2.0, steps=40, scheme="implicit-euler")
     u = np.zeros(2)
     for t, computed in zip(sol.t[1:], sol.u[1:], strict=True):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import isotropic
 
 import sweepopt as so
 
@@ -41,9 +42,7 @@ def test_exact_takes_it_as_the_sum_of_tables(viscosity):
 def test_exact_takes_offsets_of_rows_given_so():
     rows, offsets = np.vstack([np.eye(3), -np.eye(3)]), np.hstack([VALUES + 0.4, 0.3 - VALUES])
     sol, same = (
-        so.solve(
-            so.SweepingProcess(0.0, np.eye(3), C, np.zeros(3)), t_end=2.0, steps=60, scheme="exact"
-        )
+        so.solve(isotropic(C, 0.0, 1.0), t_end=2.0, steps=60, scheme="exact")
         for C in (
             so.Polyhedron(rows, so.VectorTable(TIMES, offsets)),
             so.Moving(so.Box(-0.3 * np.ones(3), 0.4 * np.ones(3)), HATS),
