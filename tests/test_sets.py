@@ -12,7 +12,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import SQUARE, refuses, slow, worst_certificate
+from cases import SQUARE, isotropic, refuses, slow, worst_certificate
 from scipy.optimize import nnls
 
 import sweepopt as so
@@ -27,7 +27,6 @@ from tests.laws import (
 
 UNIT = so.Ball([0.0, 0.0], 1.0)
 EYE, INF, NAN = np.eye(2), np.inf, float("nan")
-SIDES = np.full(3, 0.8)
 
 
 def obeys(law, name, times):
@@ -314,6 +313,7 @@ def test_what_is_inside_does_not_move_at_all():
         triangle,
         UNIT & so.Ball([0.5, 0.0], 1.0),
         UNIT + triangle,
+        so.Box([-393, -393], [800, 800]) + so.Ellipsoid([0.3, 0.7], np.diag([1.0, 2.0])),
         so.WholeSpace(2),
         so.image(EYE[[1, 0]], UNIT),
     ]
@@ -382,20 +382,15 @@ DISTANCES = [
     (so.Ball([0, 0], 1), so.Ball([3, 4], 3), 7.0),
     (so.Balls([1, 2], 2), so.Balls([4, 6], 2), 5.0),
     (so.Balls([1, 2], 2), so.Balls([4, 1], 2), 3.0),
-    (so.Box([0, 0], [1, 1]), so.Box([0, 0], [4, 5]), 5.0),
     (so.Box([0, 0], [1, 4]), so.Box([0, 0], [4, 1]), 3.0),
     (so.Box([-INF, 0], [0, INF]), so.Box([-INF, 4], [3, INF]), 4.0),
     (so.Box([0, 0], [1, 1]), so.Box([0, 0], [1, INF]), INF),
     (so.Ball(0, 1), so.Box(-3, 2), 2.0),
     (so.HalfSpace(2, 2), so.Box(-INF, 4), 3.0),
-    (so.Orthant(1), so.Box(0, 1), INF),
-    (UNIT + [1, 1], UNIT + [4, 5], 5.0),
     (UNIT, UNIT + [3, 4], 5.0),
     (so.SecondOrderCone(2), so.SecondOrderCone(2) + [3, 4], 5.0),
     (2 * UNIT, 5 * UNIT, 3.0),
-    (so.image(EYE, UNIT), so.image(2 * EYE, UNIT), 1.0),
     (2 * so.SecondOrderCone(3), 5 * so.SecondOrderCone(3), 0.0),
-    (UNIT, 5.0 * UNIT, 4.0),
     (
         so.Moving(UNIT, [1, 0], lambda t: t).at(0.0),
         so.Moving(UNIT, [1, 0], lambda t: t).at(3.0),
@@ -451,14 +446,6 @@ class Corner(so.Polyhedron):
         super().__init__(np.eye(rows), h=np.ones(rows))
 
 
-@pytest.mark.parametrize("C", [Slope(2.0), Slope(steep=2.0), Corner(rows=2)])
-def test_a_subclass_of_a_polyhedron_has_its_own_arguments(C):
-    known = so.Polyhedron(C.G, C.h)
-    for twin in (C, *(copied(C) for copied in TWINS)):
-        assert type(twin) is type(C)
-        np.testing.assert_array_equal(twin.project([3.0, 4.0]), known.project([3.0, 4.0]))
-
-
 def test_nearly_opposite_rows_are_a_wedge_and_no_equation():
     """The pair at (0, 5) of a line is none of the wedge x <= 0, x >= a y, whose apex is nearest."""
     for a in np.geomspace(1e-15, 1e-9, 14):
@@ -480,7 +467,7 @@ def test_rows_that_are_opposite_but_for_rounding_are_an_equation_or_refused(fact
         x, y = (np.array([Fraction(number) for number in G]) for G in (row, other))
         exact = (x * y[0] == y * x[0]).all()
         C = so.Polyhedron([row, other], h)
-        process = so.SweepingProcess(np.eye(3), None, C, np.zeros(3))
+        process = isotropic(C)
         if exact:
             process.check(np.zeros(1))
             continue
@@ -493,12 +480,17 @@ WIDE = so.image(np.random.default_rng(0).normal(size=(3, 320)) / 20, so.Balls(np
 TWINS = [copy.copy, copy.deepcopy, lambda C: pickle.loads(pickle.dumps(C))]
 
 
-@pytest.mark.parametrize("C", [so.Polyhedron(TRIANGLE, [1, 1, 1]), so.HalfSpace([3, 4], 5), WIDE])
-def test_sets_can_be_copied_with_their_factorisations(C):
+@pytest.mark.parametrize(
+    "C",
+    [so.Polyhedron(TRIANGLE, [1, 1, 1]), so.HalfSpace([3, 4], 5), WIDE]
+    + [Slope(2.0), Slope(steep=2.0), Corner(rows=2)],
+)
+def test_sets_and_those_of_subclasses_with_other_arguments_can_be_copied(C):
     v = 3.0 * np.ones(C.dim)
-    for w, twin in itertools.product([C.project(v)], TWINS):
-        assert type(twin(C)) is type(C)
-        np.testing.assert_array_equal(twin(C).project(v), w)
+    known = so.Polyhedron(C.G, C.h) if isinstance(C, so.Polyhedron) else C
+    for twin in (C, *(copied(C) for copied in TWINS)):
+        assert type(twin) is type(C)
+        np.testing.assert_array_equal(twin.project(v), known.project(v))
 
 
 def test_sets_that_move_by_data_go_through_pickle():
@@ -539,14 +531,6 @@ def test_intersections_of_polyhedra_are_polyhedra():
         assert isinstance(C, so.Polyhedron)
     np.testing.assert_allclose((box & cut).project([9.0, 9.0]), [0.75, 0.75], atol=1e-15)
     np.testing.assert_allclose((cut & box).project([9.0, 0.0]), [1.0, 0.0], atol=1e-15)
-
-
-def test_contact_acts_on_few_unknowns():
-    select = sp.csc_array(([1.0, 1.0], ([3, 7], [0, 1])), shape=(100, 2))
-    C = so.image(select, SQUARE)
-    assert (C.dim, C.nonsmooth_dim) == (100, 2)
-    assert ((-2.0 * C) + np.ones(100)).nonsmooth_dim == 2
-    assert so.product(C, UNIT).nonsmooth_dim == 4
 
 
 def test_user_constraints_have_no_proof_nor_does_anything_made_of_them():
@@ -592,26 +576,19 @@ def test_every_set_refuses_vectors_of_another_shape():
                 C.project(wrong)
 
 
-def test_sums_and_images_of_rows_are_projected_on_to_rounding():
-    random = np.random.default_rng(3)
-    half = so.image(random.normal(size=(5, 2)), so.HalfSpace([1.0, -0.4], 0.3))
-    rows = so.Polyhedron(random.integers(-2, 3, size=(11, 7)) + 0.0, random.uniform(size=11))
-    wide = so.image(random.integers(-2, 3, size=(5, 7)) + 0.0, rows)
-    for C in (half + wide, 0.5 * (half + wide) + np.ones(5), so.image(np.eye(5)[:3], half + wide)):
-        v = 9 * random.normal(size=C.dim)
-        w, p = C.project(v), C.normal(v)
-        assert C.support(p) - p @ w <= 1e-12 * np.linalg.norm(p) * np.linalg.norm(v)
-
-
-def test_cuts_of_sums_of_images_keep_their_nearest_points():
+def test_sums_cuts_and_images_of_one_another_keep_their_nearest_points():
     random = np.random.default_rng(4)
     hull = so.Polytope(random.normal(size=(6, 2)))
     rows = so.Polyhedron([[1.0, 2.0], [-1.0, 1.0], [2.0, -1.0], [-1.0, -2.0]], [1.0, 2.0, 1.0, 2.0])
     thin = so.image(random.normal(size=(3, 2)).round(1), rows)
-    box = so.Box([-0.5] * 3, [0.5] * 3)
-    flat = so.image(random.normal(size=(3, 2)).round(1), hull) + box
-    for C in (-flat & thin, flat & (thin + so.HalfSpace([1.0, 2.0, 0.0], 0.1)), thin & thin + flat):
-        for v in (np.zeros(3), *9 * random.normal(size=(3, 3))):
+    flat = so.image(random.normal(size=(3, 2)).round(1), hull) + so.Box([-0.5] * 3, [0.5] * 3)
+    many = so.Polyhedron(random.integers(-2, 3, size=(11, 7)) + 0.0, random.uniform(size=11))
+    both = so.image(random.integers(-2, 3, size=(3, 7)) + 0.0, many) + so.image(
+        random.normal(size=(3, 2)), so.HalfSpace([1.0, -0.4], 0.3)
+    )
+    cuts = (-flat & thin, flat & (thin + so.HalfSpace([1.0, 2.0, 0.0], 0.1)), thin & thin + flat)
+    for C in (*cuts, 0.5 * both + np.ones(3), so.image(np.eye(3)[:2], both)):
+        for v in (np.zeros(C.dim), *9 * random.normal(size=(3, C.dim))):
             w = C.project(v)
             np.testing.assert_allclose(C.project(w), w, rtol=0, atol=1e-12)
             np.testing.assert_allclose(C.project(w + 3 * (v - w)), w, rtol=0, atol=1e-11)
@@ -649,16 +626,6 @@ def test_a_vertex_that_only_rounding_says_is_ahead_leaves_a_polytope_quietly():
     assert x == y == 0.0 <= z <= 1.0
 
 
-def test_a_point_inside_of_a_sum_is_its_own_projection():
-    # its parts are rounded, but what they miss is not a force
-    random = np.random.default_rng(2)
-    center = random.normal(size=6)
-    C = so.Box(-393 * np.ones(6), 800 * np.ones(6)) + so.Ellipsoid(center, np.diag(np.arange(1, 7)))
-    for w in (np.zeros(6), 1e-6 * random.normal(size=6), 300 * random.normal(size=6)):
-        assert C.project(w).tolist() == w.tolist()
-        assert not C.normal(w).any()
-
-
 def gradient(n):
     """Of functions on a square grid: two differences for each node that has both neighbours."""
     D = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
@@ -680,15 +647,9 @@ def test_sets_of_many_unknowns_are_made_of_sparse_matrices():
         sp.random_array((5, 9000), density=0.01, rng=0), so.Box(-(z[:9000] ** 2), [1.0] * 9000)
     )
     (2.0 * -(wide + so.HalfSpace(np.ones(5), 1.0)) + np.ones(5)).support(np.zeros(5))
-    cube, ball = so.Box([-1.0] * 900, [1.0] * 900), so.Ball(np.zeros(900), 20.0)
-    v = 3 * np.random.default_rng(1).normal(size=900)
-    w, p = (cube & ball).project(v), (cube & ball).normal(v)
-    assert cube.contains(w, 1e-13)
-    assert ball.contains(w, 1e-13)
-    # where the cube does not press, p is a multiple of w
-    inside = np.abs(w) < 1 - 1e-12
-    ratio = (p @ (w * inside)) / (w @ (w * inside))
-    np.testing.assert_allclose(p[inside], ratio * w[inside], rtol=0, atol=1e-12)
+
+
+CUBE = so.Box(-np.ones(400), np.ones(400))
 
 
 def discs_and_box(count):
@@ -711,13 +672,20 @@ def test_many_discs_and_a_box_are_the_product_of_small_sets(combined):
     np.testing.assert_allclose([pair.w, pair.p], [w, v - w], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("other", [so.Ball(np.zeros(160), 5.0), so.HalfSpace(np.ones(160), -2.0)])
-def test_large_cuts_that_are_no_products_have_pairs(other):
-    discs, v = discs_and_box(80)[0], 2 * np.random.default_rng(2).normal(size=160)
-    w = (discs & other).project(v)
-    pair = (discs & other).normal_pair(v - w, w, np.ones(160))
+@pytest.mark.parametrize(
+    "one, other",
+    [
+        (discs_and_box(80)[0], so.Ball(np.zeros(160), 5.0)),
+        (discs_and_box(80)[0], so.HalfSpace(np.ones(160), -2.0)),
+        (so.image(sp.eye_array(400) + 0.5 * sp.eye_array(400, k=1), CUBE), so.Ball([0] * 400, 12)),
+    ],
+)
+def test_large_cuts_that_are_no_products_have_pairs(one, other):
+    C, v = one & other, 2 * np.random.default_rng(2).normal(size=one.dim)
+    w = C.project(v)
+    pair = C.normal_pair(v - w, w, np.ones(C.dim))
     assert pair.gap == 0
-    for part in (discs, other):
+    for part in (one, other):
         assert part.contains(pair.w, 1e-13)
     np.testing.assert_allclose(pair.w + pair.p, v, rtol=0, atol=1e-13)
 
@@ -732,19 +700,10 @@ def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count, full):
     assert worst_certificate(found) <= 1e-9
 
 
-def test_a_large_intersection_is_projected_on():
-    E = sp.eye_array(400) + 0.5 * sp.eye_array(400, k=1)
-    C = so.image(E, so.Box(-np.ones(400), np.ones(400))) & so.Ball(np.zeros(400), 12.0)
-    v = 2 * np.random.default_rng(0).normal(size=400)
-    w = C.project(v)
-    assert all(part.contains(w, 1e-12) for part in C.operands)
-    assert C.normal_pair(v - w, w, np.ones(400)).gap == 0.0
-
-
 def test_the_cone_of_one_unknown_is_taken_by_every_solver():
     C = so.Moving(so.image([[1.5]], so.Orthant(1)), center=lambda t: np.array([2 * t]))
     for solver in ("auto", "osqp", "clarabel"):
-        process = so.SweepingProcess(2.0, None, C, 0.0)
+        process = isotropic(C, 2.0)
         assert so.solve(process, t_end=1.0, steps=1, solver=solver).status == so.Status.SUCCESS
 
 
@@ -841,14 +800,26 @@ def test_a_set_of_ones_own_that_lacks_an_attribute_is_told_so(given, lacks):
             return so.sets.Features([y], [cp.abs(p) <= y])
 
     with refuses(f"^Interval has no {lacks}: give it self.{lacks} = "):
-        so.SweepingProcess(1.0, None, Interval(), 0.0).check([0.0])
+        isotropic(Interval()).check([0.0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_body_rests_exactly_inside_of_a_skew_cone(seed):
+    M = np.random.default_rng(seed).normal(size=(3, 3))
+    cone, within = so.image(M, so.Orthant(3)), M @ np.full(3, 0.3)
+    assert not cone.normal(within).any()
+    A = np.eye(3)
+    assert not so.compatible_start(so.SweepingProcess(0 * A, A, cone - within, np.zeros(3))).any()
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_bounds_the_support_of_an_intersection_is_near_and_not_below_its_program(seed):
     random = np.random.default_rng(seed)
     hull = so.Polytope(random.normal(size=(9, 3)))
-    for C in (hull & so.Ball(np.zeros(3), 1.2), so.Ball(np.zeros(3), 1.0) & so.Box(-SIDES, SIDES)):
+    for C in (
+        hull & so.Ball(np.zeros(3), 1.2),
+        so.Ball(np.zeros(3), 1.0) & so.Box([-0.8] * 3, [0.8] * 3),
+    ):
         v = 2 * random.normal(size=3)
         w = C.project(v)
         p = v - w + 1e-3 * random.normal(size=(1, 3, 3))
@@ -866,12 +837,3 @@ def test_a_projection_of_0_that_starts_from_0_comes_to_parts_away_from_0():
     zero = np.zeros(form.E.shape[1])
     near = Projector(form)(np.zeros(2), Start(zero, zero))
     np.testing.assert_allclose(near.w, [0.5, 0.0], atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_body_rests_exactly_inside_of_a_skew_cone(seed):
-    M = np.random.default_rng(seed).normal(size=(3, 3))
-    cone, within = so.image(M, so.Orthant(3)), M @ np.full(3, 0.3)
-    assert not cone.normal(within).any()
-    A = np.eye(3)
-    assert not so.compatible_start(so.SweepingProcess(0 * A, A, cone - within, np.zeros(3))).any()
