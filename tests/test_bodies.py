@@ -323,17 +323,6 @@ def test_a_bound_of_two_terms_is_no_sum_of_two_frictions():
     assert scene.solve(t_end=1.0, steps=4).success
 
 
-def test_frictions_add_and_a_node_that_two_share_counts_once():
-    section, g = Discretisation(square(4), "top"), {"left": 1.0, "bottom": 2.0}
-    one, two = (
-        body(section, [Viscosity(1.0), *rubs])
-        for rubs in ([Friction([*g], g)], [Friction(name, each) for name, each in g.items()])
-    )
-    J = [scene.problem.dissipation.support(np.cos(np.arange(section.dim))) for scene in (one, two)]
-    assert J[0] == pytest.approx(J[1])
-    assert len(one.contact) == len(two.contact) == two.problem.C.nonsmooth_dim
-
-
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("slope", [0.0, 0.5])
@@ -536,31 +525,6 @@ def test_two_frictions_at_an_oblique_corner_leave_the_other_unknowns_eliminated(
     scene, run = run_of(block, [*MATERIAL, *rub, pull], scheme="auto", tol=1e-9)
     assert run.plan.eliminated == scene.problem.dim - 17
     assert worst_certificate(run) <= 1e-9
-
-
-@pytest.mark.parametrize("points", [None, ["x + 0.3 * y", "y + 0.2 * x + 0.1 * z", "z + 0.3 * x"]])
-@pytest.mark.parametrize("held", [{}, {"front": "n"}])
-def test_each_friction_has_its_own_tangents_where_walls_meet(held, points):
-    """They shared those of a mean normal, also beside a held wall: 15 % of the velocity."""
-    axes, mesh = [1.0, 0.4, 2.0], grid([2.0, 1.0, 1.0], [2, 2, 1], points)
-    block = Discretisation(mesh, "back", kind="solid", held=held)
-    rub = [Friction("front", 0.1), Friction("right", 0.2), Friction("top", 0.3, axes=axes)]
-    scene = body(block, [*MATERIAL, *rub])
-    u = np.random.default_rng(1).standard_normal(scene.problem.dim)
-    v, seen = scene.discretisation.expand(u), dict.fromkeys(("front", "right", "top"), 0)
-    for one in scene.yields:
-        law = scene.effects[int(one.label[len("effects[") : -2])]
-        x, y, z = mesh.p[:, mesh.facets[:, mesh.boundaries[law.on[0]][0]]].T
-        normal = np.cross(y - x, z - x) / np.linalg.norm(np.cross(y - x, z - x))
-        tangential = v[one.contact.node] @ (np.eye(3) - np.outer(normal, normal))
-        expected = np.linalg.norm(tangential * (1.0 if law.axes is None else axes), axis=1)
-        rows = (one.euclidean_rows @ u).reshape(-1, one.rows.block)
-        assert_allclose(np.linalg.norm(rows, axis=1), expected, rtol=1e-12)
-        seen[law.on[0]] += len(expected)
-    assert seen == {"front": 9, "right": 3, "top": 3}
-    pull = Traction("left", Constant(), [3.0, 2.0, -1.0])
-    _, run = run_of(block, [*MATERIAL, *rub, pull], scheme="auto", steps=1)
-    assert worst_certificate(run) <= 1e-6
 
 
 def test_no_traction_is_told_where_frictions_along_other_tangents_share_a_node():
