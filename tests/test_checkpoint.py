@@ -9,14 +9,14 @@ import random
 import time
 import warnings
 import zipfile
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import SQUARE, block, refuses, slow
+from cases import SQUARE, block, isotropic, refuses, slow
 from processes import started
 from test_reduction import process as chain
 
@@ -49,7 +49,7 @@ def free():
     import cvxpy as cp
 
     C = so.Moving(so.Constraints(2, lambda w: [cp.norm(w) <= 1]), center=lambda t: [2 * t, t])
-    return so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
+    return isotropic(C, 1.0, 1.0)
 
 
 def pipe():
@@ -77,7 +77,7 @@ RUNS = {
     "polygon": (polygon, {"solver": "osqp", "t_end": 0.3, "steps": 15}),
     "uncertified": (free, {"steps": 3}),
     "set that is a function": (
-        lambda: so.SweepingProcess(0.5, 2.0, so.MovingSet(lambda t: so.Box(t, 3.0)), 0),
+        lambda: isotropic(so.MovingSet(lambda t: so.Box(t, 3.0)), 0.5, 2.0),
         {"t_end": 2.0},
     ),
     "times of the user": (
@@ -240,8 +240,9 @@ def test_a_run_that_is_killed_loses_nothing(name, times, steps, alive, tmp_path)
             if k:
                 time.sleep(moments.uniform(0.0, 1.2))
             else:
-                with refuses(r"npz is being written by another run"):
-                    so.resume(path, process)
+                for again in (so.resume, partial(so.solve, checkpoint=path, **settings)):
+                    with refuses(r"npz is being written by another run"):
+                        again(*(path, process)[again is not so.resume :])
         alive -= child.returncode != 0
         assert same(so.resume(path, process), whole), f"{name}, killed at moment {k}"
     assert alive <= 0
@@ -508,29 +509,6 @@ def test_a_file_that_cannot_be_read_is_named(name, tmp_path, monkeypatch):
 # ---- two runs, and files that are none ------------------------------------------------------
 
 
-def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path):
-    process, settings = arguments("full")
-    where, messages = so.Checkpoint(tmp_path / "run.npz", steps=9), []
-
-    def second(info):
-        if info.step in (3, 12):
-            for again in (
-                lambda: so.solve(process, checkpoint=where, **settings),
-                lambda: so.resume(where.path, process),
-            ):
-                with refuses(r"run.npz is being written by another run"):
-                    again()
-                messages.append(info.step)
-
-    sol = so.solve(process, checkpoint=where, callback=second, **settings)
-    assert messages == [3, 3, 12, 12]
-    assert same(
-        sol,
-        so.solve(process, checkpoint=so.Checkpoint(tmp_path / "alone.npz", steps=9), **settings),
-    )
-    assert not list(tmp_path.glob(".*"))
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
 def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
     from sweepopt.fem import read_mesh
@@ -549,7 +527,7 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
 
 
 def test_a_checkpoint_that_can_have_no_lock_is_refused_by_name(tmp_path):
-    process = so.SweepingProcess(1.0, None, so.Box(-1, 1), 0)
+    process = isotropic(so.Box(-1, 1))
     with pytest.raises(so.CheckpointError, match=r"no file can be made beside .*shorter name"):
         so.solve(process, t_end=1.0, steps=3, checkpoint=tmp_path / ("a" * 248 + ".npz"))
 
