@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse as sp
-from cases import SQUARE, springs, worst_certificate
+from cases import SQUARE, isotropic, springs, worst_certificate
 
 import sweepopt as so
 from sweepopt.integrate.schemes import SCHEMES
@@ -124,7 +125,7 @@ def test_diagonal_processes_are_solved_by_a_formula_that_agrees_with_the_solvers
 def test_a_set_that_starts_as_a_point_becomes_a_set_when_it_grows():
     # C(t) = [0, 2t] holds 0 at all times: nothing ever moves
     C = so.Moving(so.Box(-1, 1), center=lambda t: [t], scale=lambda t: t)
-    this = so.SweepingProcess(0.5, 2.0, C, 0.0)
+    this = isotropic(C, 0.5, 2.0)
     for scheme in ("implicit-euler", "midpoint"):
         assert not so.solve(this, t_end=2.0, steps=20, scheme=scheme).u.any()
 
@@ -141,7 +142,7 @@ def test_a_contact_zone_that_moves_is_followed():
 
     ends = []
     for member in (as_image, as_box):
-        this = so.SweepingProcess(np.eye(3), None, so.MovingSet(member), np.zeros(3))
+        this = isotropic(so.MovingSet(member))
         ends.append(so.solve(this, t_end=2.0, steps=20).u[-1])
     assert ends[0] == pytest.approx(ends[1], abs=1e-12)
 
@@ -165,7 +166,7 @@ def test_sets_of_several_kinds_are_solved_each_in_its_way_or_refused_before_the_
 def test_a_solver_that_is_refused_names_the_users_set():
     C = so.Moving(so.Polyhedron(np.eye(2), np.ones(2)), center=np.ones(2), scale=2.0)
     with pytest.raises(so.SolverRefusedError, match="newton cannot treat Polyhedron"):
-        so.solve(so.SweepingProcess(np.eye(2), None, C, np.zeros(2)), t_end=1.0, solver="newton")
+        so.solve(isotropic(C), t_end=1.0, solver="newton")
 
 
 @pytest.mark.parametrize("scale", [None, so.Table([0.0, 1.0, 2.0], [1.0, 0.2, 1.0])])
@@ -221,26 +222,17 @@ def test_opposite_rows_are_the_equal_bounds_of_a_box(n, always):
 
 @pytest.mark.parametrize("double", [False, True], ids=["once", "twice"])
 def test_equations_that_couple_unknowns_are_those_of_the_rotated_unknowns(double):
-    """C = { w : E w = e, |N w| <= 1 } beside the two processes in which it falls apart."""
-    n, k = 12, 5
-    random = np.random.default_rng(3)
-    E, N, w0 = random.normal(size=(k, n)), random.normal(size=(n, n)), random.normal(size=n)
-    e, d = E @ w0, np.ones(2 * n) + np.vstack([N, -N]) @ w0
-    G, h = np.vstack([E, -2 * E, N, -N]), np.concatenate([e, -2 * e, d])
-    if double:
-        G, h = np.vstack([G, 4 * E, -E]), np.concatenate([h, 4 * e, -e])
-    f = random.normal(size=n)
-    Q = np.linalg.qr(E.T, mode="complete")[0]
-    across, along = Q[:, :k], Q[:, k:]
-
-    def solved(C, basis):
-        eye, load = np.eye(basis.shape[1]), so.Separable([(so.Sine(2.0, 3.0), basis.T @ f)])
-        u0 = basis.T @ w0 / 3  # B u0 is in C(0)
-        return so.solve(so.SweepingProcess(2 * eye, 3 * eye, so.Moving(C, load), u0), **EULER)
-
-    sol = solved(so.Polyhedron(G, h), np.eye(n))
-    reduced = so.Polyhedron(np.vstack([N, -N]) @ along, np.ones(2 * n)) + along.T @ w0
-    inside, beside = solved(reduced, along).u, solved(so.Point(across.T @ w0), across).u
-    by_hand = inside @ along.T + beside @ across.T
-    np.testing.assert_allclose(sol.u, by_hand, rtol=0, atol=1e-9 * np.abs(by_hand).max())
+    """{ w : E w = E w0, |N (w - w0)| <= 1 } is w0 + Y { y : |N Y y| <= 1 }, Y a basis of ker E."""
+    n, random = 12, np.random.default_rng(3)
+    E, N, w0 = random.normal(size=(5, n)), random.normal(size=(n, n)), random.normal(size=n)
+    sides, Y = np.vstack([N, -N]), scipy.linalg.null_space(E)
+    G = np.vstack([sides, E, -2 * E, *([4 * E, -E] if double else [])])
+    h = G @ w0 + (np.arange(len(G)) < 2 * n)
+    rotated = so.image(Y, so.Polyhedron(sides @ Y, np.ones(2 * n))) + w0
+    load, one = so.Separable([(so.Sine(2.0, 3.0), random.normal(size=n))]), np.eye(n)
+    sol, other = (
+        so.solve(so.SweepingProcess(2 * one, 3 * one, so.Moving(C, load), w0 / 3), **EULER)
+        for C in (so.Polyhedron(G, h), rotated)
+    )
+    np.testing.assert_allclose(sol.u, other.u, rtol=0, atol=1e-9 * np.abs(other.u).max())
     assert worst_certificate(sol) <= 1e-9
