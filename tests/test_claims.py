@@ -6,7 +6,6 @@ has. A claim that is reworded, a test or call that is gone and a point of a list
 that nothing shows make a test fail here.
 """
 
-import ast
 import re
 import tomllib
 from pathlib import Path
@@ -54,26 +53,3 @@ def test_what_shows_a_claim_is_there():
         for name in (names.split() if isinstance(names, str) else names)
     }
     assert not [name for name in shown - known if not (ROOT / name).is_file()]
-
-
-@pytest.mark.parametrize(
-    "file, test, place",
-    [
-        ("laws.py", "support_is_lipschitz_in_hausdorff_distance", "Lemma 2.1"),
-        ("laws.py", "truncated_sets_are_at_most_eight_times_as_far_apart", "Lemma 2.3"),
-        (
-            "test_evolve.py",
-            "test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets",
-            "Lemma 2.3",
-        ),
-        (
-            "test_reference.py",
-            "test_a_process_made_from_its_variational_inequality_gives_the_same_numbers",
-            "the Proposition of section 4",
-        ),
-    ],
-)
-def test_what_shows_a_result_of_the_paper_names_it(file, test, place):
-    functions = ast.walk(ast.parse((Path(__file__).parent / file).read_text()))
-    (found,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == test)
-    assert f"Adly and Haddad, {place}" in (ast.get_docstring(found) or "")
