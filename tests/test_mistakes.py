@@ -89,21 +89,6 @@ def test_every_public_name_refuses_an_argument_that_it_does_not_have():
                 thing(colour="red")
 
 
-def test_a_half_space_takes_its_arguments_by_name():
-    assert so.HalfSpace(normal=[1.0, 0.0], offset=2.0).support([1.0, 0.0]) == 2.0
-
-
-def test_one_unknown_needs_no_brackets():
-    plain = run(steps=10.0)
-    lists = run(
-        so.SweepingProcess(
-            [[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), lambda t: [1.5 * t]), [0.0]
-        )
-    )
-    assert_array_equal(plain.u, lists.u)
-    assert plain(0.95) > 0
-
-
 def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set():
     # the play operator: B u follows the input to within 1
     play = pulled(A=None, C=lambda t: so.Box(1.5 * t - 1, 1.5 * t + 1))

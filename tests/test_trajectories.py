@@ -79,17 +79,6 @@ def test_every_scheme_has_the_error_that_it_should_have_for_every_seed(name, see
     checked(name, seed)
 
 
-def test_midpoint_rests_falsely_on_stiff_bodies_and_warns_from_ten_thirds_on():
-    for stiffness, warned in ((3.3, False), (3.4, True), (1e3, True)):
-        with pytest.MonkeyPatch.context() as patch:
-            changed = TRAJECTORIES["ordinary"] | {"mu_Lam": stiffness, "steps": 150}
-            patch.setitem(TRAJECTORIES, "ordinary", changed)
-            midpoint, auto = runs("ordinary", 0, ("midpoint", "auto"))
-        assert midpoint.verdict == ("warned" if warned else "met")
-        assert (auto.verdict, auto.false_sticks) == ("met", 0)
-    assert midpoint.false_sticks > 0
-
-
 def test_bounds_are_above_the_error_of_few_steps():
     names = ["ordinary", "no_viscosity"]  # the others with -m slow
     rows = [row for name in names for row in runs(name, 3, ["catching-up", "sdirk2"])]
