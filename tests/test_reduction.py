@@ -147,14 +147,6 @@ def test_what_is_not_proportional_takes_another_path_and_says_why_it_cannot_be_f
         so.solve(this, t_end=1.0, steps=4, path="proportional")
 
 
-def test_a_path_can_be_chosen_and_prints_itself():
-    for path in ("proportional", "eliminated", "full"):
-        plan = so.solve(process(), t_end=1.0, steps=4, path=path).plan
-        assert f"path                {path}: " in str(plan)
-    with refuses("path must be one of auto, proportional"):
-        so.solve(process(), t_end=1.0, steps=4, path="fastest")
-
-
 def test_callbacks_and_failures_see_all_unknowns():
     this, seen = process(u0=np.zeros(40)), list[so.StepInfo]()
     sol = so.solve(this, t_end=4.0, steps=30, callback=seen.append)

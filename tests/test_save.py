@@ -206,15 +206,6 @@ def test_a_history_that_does_not_fit_is_refused_before_the_run():
         run("eliminated", memory=500, save=[0.5, 1.0, 1.5])
 
 
-@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_the_last_state_of_a_load_case_is_enough_to_go_on():
-    first = run("eliminated", save="last")
-    this = process(u0=first.u[-1])
-    again = so.solve(this, steps=np.linspace(2.0, 3.0, 21), path="eliminated")
-    whole = so.solve(process(u0=np.zeros(40)), t_end=3.0, steps=60, path="eliminated")
-    assert again.u == pytest.approx(whole.u[40:], abs=1e-12)
-
-
 @pytest.mark.parametrize("raises", [False, True], ids=["stopped", "interrupted"])
 @pytest.mark.parametrize("path", PATHS)
 def test_a_run_that_a_users_function_ends_is_a_consistent_solution(path, raises, tmp_path):
