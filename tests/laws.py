@@ -733,13 +733,18 @@ def intersection_with_a_large_ball_changes_nothing(entry, s, rng):
     assert truncated.support(z) <= s.C.support(z) + 1e-6 * unit * size(z)
 
 
+def neighbours(C, rng):
+    """Sets at known Hausdorff distances of C: d_H(C, C + v) = |v|, d_H(C, C + Ball(0, r)) = r."""
+    v, r = rng.normal(size=C.dim), rng.random()
+    return (C + v, np.linalg.norm(v)), (C + so.Ball(np.zeros(C.dim), r), r)
+
+
 def support_is_lipschitz_in_hausdorff_distance(entry, s, rng):
-    """Adly and Haddad, Lemma 2.1; d_H(C, C + v) = |v| and d_H(C, C + Ball(0, r)) = r."""
-    C, v, r = s.C, rng.normal(size=s.C.dim), rng.random()
-    z, x = normals(s, rng), far_and_near(rng, s.C)
+    """Adly and Haddad, Lemma 2.1."""
+    C, z, x = s.C, normals(s, rng), far_and_near(rng, s.C)
     unit = size(z, x, C.offsets)
     tol = entry.support_tol * unit**2
-    for D, distance in ((C + v, np.linalg.norm(v)), (C + so.Ball(np.zeros(C.dim), r), r)):
+    for D, distance in neighbours(C, rng):
         assert abs(C.support(z) - D.support(z)) <= np.linalg.norm(z) * distance + tol
         P, Q = C.project(x), D.project(x)
         dP, dQ = np.linalg.norm(x - P), np.linalg.norm(x - Q)
@@ -749,8 +754,8 @@ def support_is_lipschitz_in_hausdorff_distance(entry, s, rng):
 
 def truncated_sets_are_at_most_eight_times_as_far_apart(entry, s, rng):
     """Adly and Haddad, Lemma 2.3: cut with a ball of twice the distance of 0 to both or more."""
-    C, v, r = s.C, rng.normal(size=s.C.dim), rng.random()
-    for D, distance in ((C + v, np.linalg.norm(v)), (C + so.Ball(np.zeros(C.dim), r), r)):
+    C = s.C
+    for D, distance in neighbours(C, rng):
         nearest = [E.project(np.zeros(C.dim)) for E in (C, D)]
         R = (2 + rng.random()) * max(map(np.linalg.norm, nearest)) + rng.random() * distance
         one, two = (E & so.Ball(np.zeros(C.dim), R) for E in (C, D))

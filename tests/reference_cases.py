@@ -51,39 +51,6 @@ class Case:
         return max(map(self.process.metric.norm, sol.u - self.exact(len(sol.t) - 1)))
 
 
-def embedded(this, others=9):
-    """The case as the contact of a larger body, which moves it as if it were alone.
-
-    In coordinates u = T y with y = (case, rest) the rest has its own A and B and no load, so that
-    it stays at rest; T mixes it with the case's unknowns in u, and the case's unknowns come last.
-    """
-    alone = this.process
-    m, dim = alone.dim, alone.dim + others
-    random = np.random.default_rng(1)
-    mix = np.eye(dim)
-    mix[:others, others:] = random.normal(size=(others, m))
-    inner = random.normal(size=(others, others))
-    inner = inner @ inner.T + np.eye(others)
-    back = np.linalg.inv(mix)
-
-    def grown(part, rate):
-        whole = np.zeros((dim, dim))
-        whole[:others, :others] = rate * inner
-        whole[others:, others:] = part
-        whole = back.T @ whole @ back
-        return 0.5 * (whole + whole.T)
-
-    B = np.zeros((m, m)) if alone.B is None else alone.B
-    ratio = np.trace(B) / np.trace(alone.A) if alone.A.any() else 1.0
-    E = np.eye(dim)[others:]
-    C = so.image(E.T, alone.C)
-    if isinstance(alone.C, so.Moving):
-        load = [(lambda t, k=k: alone.C.center_at(t)[k], E[k]) for k in range(m)]
-        C = so.Moving(so.image(E.T, alone.C.shape), so.Separable(load))
-    A = grown(alone.A, 1.0 if alone.A.any() else 0.0)
-    return so.SweepingProcess(A, grown(B, ratio), C, mix[:, others:] @ alone.u0)
-
-
 def as_function(C):
     """C(t) with its load as a function of which nothing else is known."""
     if isinstance(C, so.Moving):

@@ -94,12 +94,6 @@ def error_of(sol, process=None):
     return max(map(process.metric.norm, sol.u - exact(sol.t)))
 
 
-@pytest.mark.slow
-def test_estimates_that_rise_for_a_pass_or_two_end_no_run():
-    """Of this run six estimates alternate between 1.4 and 3.3 tol, while the error falls."""
-    assert max(random_errors(30, 1.0, "catching-up", [1e-2])) <= FACTOR
-
-
 def random_errors(seed, A, scheme, tols):
     """max_i |u_i - u(t_i)| / tol of a random process for tolerances in units of its size."""
     process, t_end = random_process(seed, A)

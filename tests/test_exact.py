@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from cases import SQUARE, block, isotropic, random_process, refuses, slope, worst_certificate
-from reference_cases import GRIDS, REFERENCE, case, embedded
+from reference_cases import GRIDS, REFERENCE, case
 
 import sweepopt as so
 from sweepopt.errors import Status
@@ -75,22 +75,6 @@ def test_values_and_switch_times_are_those_of_the_reference(name):
     if name != "L13":  # linear
         assert found.switches == pytest.approx(SWITCHES[name], abs=1e-10)
         assert len(found.phases) == len(found.switches) + 1
-
-
-@pytest.mark.parametrize("path", ["auto", "full"])
-@pytest.mark.parametrize("name", ["S02", "P09", "P10", "M16", "E20"])
-def test_as_the_contact_of_a_larger_body_a_case_is_as_exact(name, path):
-    this, body = case(name), embedded(case(name))
-    center, E = problem(name).process().C.center, np.eye(body.dim)[-this.process.dim :]
-    load = so.Separable([(phi, E.T @ f) for phi, f in center.terms])
-    C = so.Moving(so.image(E.T, this.process.C.shape), load)
-    process = so.SweepingProcess(body.A, body.B, C, body.u0)
-    sol = so.solve(process, t_end=this.t_end, steps=101, scheme="exact", path=path)
-    assert worst_certificate(sol) <= 1e-9
-    error = sol.u[:, -this.process.dim :] - this.exact(101)
-    assert max(map(this.process.metric.norm, error)) <= 1e-12
-    assert sol.exact.switches == pytest.approx(SWITCHES[name], abs=1e-10)
-    assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-15
 
 
 def test_every_node_carries_the_certificate_of_its_inclusion():
