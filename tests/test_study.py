@@ -378,20 +378,25 @@ def test_the_studies_of_the_library_can_be_run_and_are_no_problems():
         assert path.stem not in library.list_scenes()
 
 
+def row(error, wall, **others):
+    """Of a run that succeeded, unless the others say more."""
+    asked = ("P", 0, "", "midpoint", "auto", 10, 1e-6, 1, "id")
+    return CellRow(*asked, "SUCCESS", True, error=error, size=2.0, wall=wall)._replace(**others)
+
+
 # ---- advice ---------------------------------------------------------------------------------
 
 
 def test_the_next_halving_is_cheapest_along_the_axis_of_the_least_cost():
-    def row(refinements, steps, tol, element="P1"):
+    def modelled(refinements, steps, tol, element="P1"):
         """The error in time is of second order, that in space of first; a tol of 1e-1 leaves 0."""
         solver = 1e-3 if tol == 1e-1 else 0.0
         error = 16.0 / steps**2 + 0.1 / 2**refinements / (8 if element == "P2" else 1) + solver
         wall = 1e-3 * steps * 4**refinements * (3 if element == "P2" else 1) - (tol > 1e-2) * 1e-4
-        asked = ("P", refinements, element, "midpoint", "auto", steps, tol, 1, "id")
-        return CellRow(*asked, "SUCCESS", True, error=error, size=1.0, wall=wall)
+        return row(2 * error, wall, refinements=refinements, element=element, steps=steps, tol=tol)
 
     axes = product((0, 1, 2), (10, 20, 40, 80), (1e-1, 1e-6), ("P1", "P2"))
-    costs = halving(pd.DataFrame([row(k, n, tol, e) for k, n, tol, e in axes]))
+    costs = halving(pd.DataFrame([modelled(k, n, tol, e) for k, n, tol, e in axes]))
     assert costs.wall.is_monotonic_increasing
     assert (costs.error.to_numpy()[1:] < 0.9 * costs.error.to_numpy()[:-1]).all()
     first, last = costs.iloc[0], costs.iloc[-1]
@@ -404,7 +409,7 @@ def test_the_next_halving_is_cheapest_along_the_axis_of_the_least_cost():
     assert costs["a higher degree"][costs.element == "P2"].isna().all()
     assert np.isnan(last[["more steps", "a finer mesh"]].astype(float)).all()
     # the words of the summary name the run and the way
-    table = pd.DataFrame([row(0, n, 1e-6, e) for n in (10, 80) for e in ("P1", "P2")])
+    table = pd.DataFrame([modelled(0, n, 1e-6, e) for n in (10, 80) for e in ("P1", "P2")])
     shown = [line.split() for line in summary(table).splitlines()]
     assert ["P", "midpoint", "auto", "10", "1e-06", "0", "P1", "0.26", "10", "more"] in [
         line[:10] for line in shown
@@ -414,12 +419,8 @@ def test_the_next_halving_is_cheapest_along_the_axis_of_the_least_cost():
 
 
 def test_the_advice_is_the_fastest_cell_that_is_accurate_enough():
-    def row(error, wall, success=True, scheme="midpoint"):
-        status = "SUCCESS" if success else "INEXACT"
-        asked = ("P", 0, "", scheme, "auto", 10, 1e-6, 1, "id")
-        return CellRow(*asked, status, success, error=error, size=2.0, wall=wall)
-
-    rows = [row(1e-3, 5.0), row(1e-2, 2.0, scheme="best"), row(3e-2, 1.0), row(1e-9, 0.1, False)]
+    rows = [row(1e-3, 5.0), row(1e-2, 2.0, scheme="best"), row(3e-2, 1.0)]
+    rows += [row(1e-9, 0.1, status="INEXACT", success=False)]
     table = pd.DataFrame([*rows, row(np.nan, 0.1)])
     chosen = advice(table, (1e-2, 1e-3, 1e-5))
     assert list(chosen.target) == [1e-2, 1e-3]
