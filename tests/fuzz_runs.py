@@ -1,4 +1,4 @@
-"""Recipes of problems and runs, and what is asked of them."""
+"""Problems and runs, and what is asked of them."""
 
 from contextlib import suppress
 
@@ -12,7 +12,6 @@ from fuzz_inputs import (
     call,
     definite,
     function,
-    made,
     rarely,
     vector,
 )
@@ -25,9 +24,8 @@ import sweepopt as so
 # ---- sets and histories ---------------------------------------------------------------------
 
 
-def ask_set(recipe, z, w):
+def ask_set(C, z, w):
     """Support and projection are finite and fit: w - P(w) is normal to C at P(w)."""
-    C = made(recipe)
     if isinstance(C, so.MovingSet):
         C = C.at(0.5)
     if not isinstance(C, so.ConvexSet):
@@ -119,9 +117,9 @@ def adaptive(draw):
     return draw(call("Adaptive", tol, limit, limit))
 
 
-def ask_run(recipe, chosen, later=None):
+def ask_run(process, chosen, later=None):
     """A run is finite and certified, its velocities satisfy the inclusion by the set's laws."""
-    sol = so.solve(made(recipe), **made(chosen))
+    sol = so.solve(process, **chosen)
     check_run(sol)
     if later is not None:
         ask_later(sol, *later)
@@ -153,9 +151,9 @@ def ask_later(sol, name, argument):
         assert name == "residual" or np.isfinite(found).all()
 
 
-def ask_problem(recipe, times):
+def ask_problem(problem, times):
     """Conversions and constants of a problem."""
-    process = made(recipe).as_sweeping()
+    process = problem.as_sweeping()
     assert process.beta >= 0
     assert process.Lam >= 0
     process.check(np.array([0.0, 0.5]))

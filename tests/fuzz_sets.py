@@ -1,4 +1,4 @@
-"""Recipes of sets: shapes, expressions in them, and sets that move."""
+"""Sets: shapes, expressions in them, and sets that move."""
 
 import operator
 from dataclasses import dataclass
@@ -8,7 +8,6 @@ import numpy as np
 from fuzz_inputs import (
     ANYTHING,
     NAN,
-    Call,
     Late,
     MineError,
     call,
@@ -53,7 +52,7 @@ def shape(draw, dim, strange=True):
     G = st.lists(vector(dim, strange), min_size=rows, max_size=rows)
     block = 2 if dim % 2 == 0 and draw(st.booleans()) else 1
     kinds = [
-        lambda: ones.map(lambda u: Call("so.Box", so.Box, ([-x for x in u], u))),
+        lambda: ones.map(lambda u: so.Box([-x for x in u], u)),
         lambda: call("Ball", center, size),
         lambda: call("Balls", vector(dim // block, strange, low=0.0), st.just(block)),
         lambda: call("Ellipsoid", center, definite(dim, strange)),
@@ -80,25 +79,22 @@ def convex(draw, dim, depth=2):
     part = convex(dim, depth - 1)
     one = draw(part)
     if kind == 5:
-        other = draw(rarely(vector(dim), ANYTHING, 20))
-        return Call("operator.add", operator.add, (one, other))
+        return one + draw(rarely(vector(dim), ANYTHING, 20))
     if kind == 6:
-        return Call("operator.mul", operator.mul, (draw(number()), one))
+        return draw(number()) * one
     if kind == 7:
-        return Call("operator.neg", operator.neg, (one,))
+        return -one
     if kind == 8:
-        return Call("operator.add", operator.add, (one, draw(part)))
+        return one + draw(part)
     if kind == 9:
-        return Call("operator.and_", operator.and_, (one, draw(part)))
+        return one & draw(part)
     if kind == 10 and dim > 1:
-        return Call(
-            "so.product", so.product, (draw(convex(1, depth - 1)), draw(convex(dim - 1, depth - 1)))
-        )
+        return so.product(draw(convex(1, depth - 1)), draw(convex(dim - 1, depth - 1)))
     few = draw(st.integers(1, dim))
     M = draw(
         rarely(st.just(np.eye(dim)[:, :few]), st.lists(vector(few), min_size=dim, max_size=dim), 2)
     )
-    return Call("so.image", so.image, (M, draw(convex(few, depth - 1))))
+    return so.image(M, draw(convex(few, depth - 1)))
 
 
 @st.composite
@@ -111,12 +107,12 @@ def moving(draw, dim):
         return draw(call("Moving", rarely(shape(dim), convex(dim), 4), center, scale))
     if kind == 5:
         G = np.vstack([np.eye(dim), -np.eye(dim)])
-        return Call("so.Polyhedron", so.Polyhedron, (G, draw(rarely(function(2 * dim), ANYTHING))))
+        return so.Polyhedron(G, draw(rarely(function(2 * dim), ANYTHING)))
     if kind == 7:
         one = draw(moving(dim))
         other = draw(st.one_of(moving(dim), vector(dim), number()))
         name = draw(st.sampled_from(["add", "mul", "and_", "sub"]))
-        return Call(f"operator.{name}", getattr(operator, name), (one, other))
+        return getattr(operator, name)(one, other)
     if kind == 8:
         name = draw(st.sampled_from(["image", "product"]))
         if name == "image":
@@ -124,5 +120,5 @@ def moving(draw, dim):
         return draw(call("product", moving(dim)))
     if kind == 6:
         late = Late(draw(shape(dim)), draw(st.one_of(shape(dim), shape(dim + 1), ANYTHING)), 0.5)
-        return Call("so.MovingSet", so.MovingSet, (late, *draw(st.sampled_from([(), (dim,)]))))
+        return so.MovingSet(late, *draw(st.sampled_from([(), (dim,)])))
     return draw(convex(dim))
