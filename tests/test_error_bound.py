@@ -641,7 +641,7 @@ def interrupted(monkeypatch, at, action):
 @pytest.mark.parametrize("how", [{}, {"save": "last"}, {"callback": lambda info: None}])
 @pytest.mark.parametrize("at, end", [(40, None), (65, 8.0), (200, None)])
 def test_ctrl_c_while_steps_are_refined_returns_a_run_that_says_so(monkeypatch, at, end, how):
-    load = so.Separable([(Interrupting(3.0, np.pi), 1.0)])
+    load = Interrupting(3.0, np.pi)
     process, asked = block(load), {"t_end": 8.0, "steps": 20, "error": 1e-2, **how}
     sol = interrupted(monkeypatch, at, lambda: so.solve(process, **asked))
     assert sol.status is so.Status.INTERRUPTED
@@ -649,7 +649,7 @@ def test_ctrl_c_while_steps_are_refined_returns_a_run_that_says_so(monkeypatch, 
 
 
 def test_ctrl_c_while_a_bound_is_computed_is_not_swallowed(monkeypatch):
-    sol = so.solve(block(so.Separable([(Interrupting(3.0, np.pi), 1.0)])), t_end=8.0, save="last")
+    sol = so.solve(block(Interrupting(3.0, np.pi)), t_end=8.0, save="last")
     with pytest.raises(KeyboardInterrupt):
         interrupted(monkeypatch, 300, sol.error_bound)
 
@@ -659,7 +659,7 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused():
         run("S01", 20, "midpoint", t_end=1.0, error=1e-18)
     assert caught.value.solution.success
     # given up once the order of the scheme shows how many steps it would take, not after minutes
-    load = so.Separable([(so.Sine(3.0, np.pi), 1.0)])
+    load = so.Sine(3.0, np.pi)
     with pytest.raises(so.AccuracyError, match=r"would take about .*e\+08 steps") as caught:
         so.solve(block(load), t_end=8.0, steps=25, error=1e-14)
     assert len(caught.value.solution.t) < 1000
@@ -705,7 +705,7 @@ def test_an_error_is_delivered_by_few_steps(load, A, B, u0, steps, error, most):
 @pytest.mark.filterwarnings("ignore:B u0 is not in C")
 def test_an_error_that_falls_on_short_steps_only_is_delivered():
     # u jumps at first, in a time of 1 / Lam = 1e-3: no step of the first two grids sees that
-    pull = so.Separable([(so.Constant(3.0), 1.0)])
+    pull = so.Constant(3.0)
     process = block(pull, 0.001, 1.0)
     bounded = partial(so.solve, process, t_end=0.5, scheme="sdirk2", on_unstable="ignore")
     first, second = (bounded(steps=n).error_bound() for n in (12, 24))
@@ -790,6 +790,6 @@ def test_the_bound_holds_for_random_processes_on_coarse_grids(seeds, rate_indepe
 def test_breakpoints_that_miss_a_grid_time_by_rounding_are_at_it(scheme):
     bounds = []
     for b in (2 * (0.1 / 20), np.nextafter(2 * (0.1 / 20), 1)):
-        process = block(so.Separable([(so.Table([0.0, b, 0.1], [0.0, 3.0, -1.0]), 1.0)]))
+        process = block(so.Table([0.0, b, 0.1], [0.0, 3.0, -1.0]))
         bounds.append(so.solve(process, t_end=0.1, steps=20, scheme=scheme).error_bound())
     assert bounds[1] == pytest.approx(bounds[0], rel=0.1)
