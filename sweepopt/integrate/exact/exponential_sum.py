@@ -106,8 +106,8 @@ class ExponentialSum:
 def histories(pieces: list[Piece], s: float, length: float) -> ExponentialSum:
     """phi(s + tau) for 0 <= tau <= length of histories in closed form, a row each.
 
-    Powers of slow waves have an imaginary part: `taylor` then has the size of the wave, which is
-    that of its rounding, also where the wave is zero.
+    Powers have an imaginary part: `taylor` then has the size of the slow wave, or of the terms of a
+    polynomial at s, which is that of its rounding, also where the wave or the polynomial is zero.
     """
     rates = {w for piece in pieces for _, w, _ in piece.waves}
     fast = sorted(w for w in rates if abs(w) * length > 1)
@@ -115,9 +115,10 @@ def histories(pieces: list[Piece], s: float, length: float) -> ExponentialSum:
     terms = max(terms, *(len(piece.polynomial) for piece in pieces))
     weights = np.zeros((len(pieces), terms + len(fast)), dtype=complex)
     for row, piece in zip(weights, pieces, strict=True):
-        powers = np.zeros(terms)
+        powers = np.zeros(terms, dtype=complex)
         for coefficient in reversed(piece.polynomial):  # Horner's rule, in powers of tau
-            powers = (s - piece.origin) * powers + np.append(coefficient, powers[:-1])
+            shift = (s - piece.origin) * powers.real + 1j * abs(s - piece.origin) * powers.imag
+            powers = shift + np.append(coefficient + 1j * abs(coefficient), powers[:-1])
         row[:terms] = powers * length ** np.arange(terms)
         for a, w, p in piece.waves:
             wave = -1j * a * np.exp(1j * (p + w * s))

@@ -155,6 +155,7 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
     """u in closed form, and after which time another row holds, at most phi's length."""
     active = face.active
     force = phi.with_weights(-rows.weights @ phi.weights)
+    of_load = np.abs(rows.weights) @ np.abs(phi.weights[:, 0].imag)
     force.weights.imag[:, : phi.degree + 1] = 0.0
     force.weights[:, 0] += rows.NB @ u  # N B u_s - d
     square = np.ix_(active, active)
@@ -172,6 +173,7 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
     signs = rows.SB[:, active] @ V @ p.weights - force.weights
     if not rows.rate_independent:
         signs += rows.S[:, active] @ V @ dp.weights
+    signs.imag[:, 0] = of_load  # what rounds where a slack touches zero
     signs[active] = V @ dp.weights
     changing = ~face.redundant
     changing[active] = ~rows.equations[active]
