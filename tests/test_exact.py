@@ -243,6 +243,16 @@ def test_composed_sets_and_moving_scales_are_followed(name, scale):
     follows_the_inclusion(process, 1.1)
 
 
+@pytest.mark.parametrize("seed", [6, 8, 9, 10])
+def test_a_set_that_closes_for_a_moment_is_followed(seed):
+    # the scale (1 - t / 2)^2 only touches 0: beside t = 2 its value is rounding of 1 - t + t^2 / 4
+    X, Y = np.random.default_rng(seed).normal(size=(2, 2, 2))
+    load = so.Separable([(so.Sine(2.0, 4.0), [1.0, 0.5]), (so.Sine(1.0, 3.0), [-0.3, 1.0])])
+    C = so.Moving(so.Box([-1, -0.5], [0.8, 1]), load, so.Polynomial([1, -1, 0.25]))
+    A, B = 1e-3 * (X @ X.T + 0.2 * np.eye(2)), Y @ Y.T + 0.5 * np.eye(2)
+    follows_the_inclusion(so.SweepingProcess(A, B, C, np.zeros(2)), 3.0, steps=6)
+
+
 @pytest.mark.parametrize("seed", [43, 56, 59])
 def test_rows_that_are_nearly_dependent_are_followed(seed):
     # needles: multipliers near 0 are rounding of S^-1, condition 1e5
