@@ -406,12 +406,12 @@ def _run(
     stored: StoredRun | None = None,
 ) -> Solution:
     """Check what remains to be checked, and run."""
-    run = planned(process, options)
+    run = initial(process, options)
     with checkpoint_writer(checkpoint, process, run, options, stored) as writer:
-        return finish(process, options, run, writer)
+        return completed(process, options, run, writer)
 
 
-def planned(process: SweepingProcess, options: SolveOptions) -> Run:
+def initial(process: SweepingProcess, options: SolveOptions) -> Run:
     """The run before its first step; C(t) is checked at all times that are asked for."""
     times, mus = time_grid(options.t_end, options.steps)
     plan = options.plan(process, options.tableau(process), times, mus)
@@ -424,7 +424,7 @@ def planned(process: SweepingProcess, options: SolveOptions) -> Run:
     return Run(times, mus, plan, saved, plan.process_of(process).u0)
 
 
-def finish(
+def completed(
     process: SweepingProcess,
     options: SolveOptions,
     run: Run,

@@ -23,6 +23,7 @@ from sweepopt.checks import (
     matrix,
     number,
     symmetric,
+    times_inside,
     tolerance,
     vector,
     with_checks,
@@ -171,15 +172,20 @@ class Scene(Displayed):
         u = solution.u if t is None else solution(times)
         return self._full(u, lambda history: history(times))
 
+    @with_checks
     def velocity(self, solution: Solution, t: ArrayLike | None = None) -> Array:
         """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors.
 
-        With times t of the run in the steps that lead there, the first one at the start.
+        Or, shape (k, N, ...), at k times of the run: in the step that contains the time or ends
+        there; in the first step at its start.
         """
         self.require_run(solution)
         mu = np.diff(solution.t)
         rate = self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
-        return rate if t is None else rate[np.maximum(np.searchsorted(solution.t, t) - 1, 0)]
+        if t is None:
+            return rate
+        times = times_inside(np.atleast_1d(t), solution.t)
+        return rate[np.maximum(np.searchsorted(solution.t, times) - 1, 0)]
 
     def stress(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
         """Von Mises's stress in each cell, of antiplane shear the shear stress, shape (k, cells).
@@ -305,7 +311,15 @@ def antiplane(
     effects: Sequence[Effect],
     element: str = "P1",
     refinements: int = 0,
-    **settings: Any,
+    u0: ArrayLike | Initial | None = None,
+    t_end: float | None = None,
+    steps: int | None = None,
+    scheme: str = "auto",
+    solver: str = "auto",
+    tol: float = 1e-6,
+    path: str = "auto",
+    units: str = "dimensionless",
+    title: str = "",
 ) -> Scene:
     """Antiplane shear of a section: u(x, t) is the displacement out of its plane.
 
@@ -320,8 +334,8 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    **settings
-        As for `body`: u0, t_end, steps, scheme, solver, tol, path, units, title.
+    u0, t_end, steps, scheme, solver, tol, path, units, title
+        As for `body`.
 
     Returns
     -------
@@ -346,7 +360,7 @@ def antiplane(
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
     space = Discretisation(mesh, clamped, element, refinements)
-    return body(space, effects, **settings)
+    return body(space, effects, u0, t_end, steps, scheme, solver, tol, path, units, title)
 
 
 def body(

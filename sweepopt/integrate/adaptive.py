@@ -108,7 +108,9 @@ def adapt(
     Parameters
     ----------
     sol : Solution
-        The first run, and a bound of its error if one is known; from two runs it is estimated.
+        The first run.
+    error : float
+        A bound of its error, if one is known; from the second run on it is estimated.
     """
     before, share, tol, passes, shortest = None, math.nan, math.inf, list(sol.passes), math.nan
     while sol.success:

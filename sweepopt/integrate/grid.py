@@ -101,6 +101,8 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[Array, Array]:
         try:
             n = step_count(steps)
         except InputError as error:
+            if isinstance(steps, int):
+                raise
             raise InputError(
                 f"{error}; for steps of length dt give round(t_end / dt), or the times "
                 "themselves, or so.Adaptive(tol)"

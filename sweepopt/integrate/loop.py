@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import blas
 
 from sweepopt.checks import HUGE, Array
-from sweepopt.errors import InputError, Status, brought_by, note, result_of, shown
+from sweepopt.errors import InputError, Status, note, result_of, shown
 from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.grid import by_steps
 from sweepopt.integrate.record import Run, Step, StepInfo
@@ -131,18 +131,12 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
 
 @contextmanager
 def progress_bar(visible: bool, run: Run) -> Iterator[Callable[[], Any] | None]:
-    """What moves a bar by a step; None where it shall not be seen.
-
-    Raises
-    ------
-    MissingExtraError
-        If tqdm is not installed.
-    """
+    """What moves a bar by a step; None where it shall not be seen."""
     if not visible:
         yield None
         return
-    with brought_by("fem"):
-        from tqdm.auto import tqdm
+    from tqdm.auto import tqdm
+
     with tqdm(total=run.steps, initial=run.done, unit="step") as bar:
         yield bar.update
 

@@ -18,7 +18,7 @@ from sweepopt.checks import (
     tolerance,
     vector,
 )
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate.grid import (
     Adaptive,
     contraction,
@@ -65,6 +65,9 @@ class SolveOptions:
             takes("callback", self.callback, "step")
         if not isinstance(self.progress, bool):
             raise InputError(f"progress must be True or False, got {shown(self.progress)}")
+        if self.progress:
+            with brought_by("fem"):  # said before a file is written
+                import tqdm.auto  # noqa: F401
 
     def times_to_meet(self) -> Array:
         """What adaptive steps contain: 0, the times that are to be saved, and the end."""

@@ -117,6 +117,7 @@ class Pass(NamedTuple):
         Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0, from the difference to the pass
         before; nan of the first pass and of one that was stopped.
     seconds : float
+        Of its steps.
     """
 
     steps: int

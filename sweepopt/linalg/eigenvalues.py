@@ -132,7 +132,7 @@ def dominates(P: Matrix, Q: Matrix, by_factors: bool = True) -> bool:
 
 
 def _backward_error(M: Matrix, w: Array) -> Array:
-    """H w for a bound H of |M - L D L^T|, whose rows alone count, as that is symmetric.
+    """H w for a bound H of |M - L D L^T|; the error is symmetric, so that its rows are enough.
 
     inf if there are no such factors, D > 0.
 

@@ -71,9 +71,9 @@ def _minimum_degree(M: Matrix) -> Array:
 
 
 def _nested_dissection(graph: sp.csr_array) -> Array:
-    """The order: of a body what is before a level, what is behind it, then the level.
+    """Of a connected graph the unknowns before a level, those behind it, then the level itself.
 
-    Of several bodies one after the other, the small ones together.
+    Of others the components one after the other, the small ones together.
     """
     part = _components(graph)
     small = np.bincount(part)[part] <= PIECE

@@ -267,15 +267,12 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
     # between times that are the same to the library
     sentences, width = [], TIME_SLACK * max(abs(start), abs(end))
     for name, f, distance in _moves(C, metric) or ():
-        # others need more than this time for any change
-        may_jump = [
-            phi
-            for phi in f.histories
-            if not isinstance(phi, EXEMPT)
-            and not (isinstance(phi, Table) and np.diff(phi.times).min() > width)
-        ]
+        if not f.bounded:
+            continue
+        if f.function is None:  # beside large terms that cannot jump others are rounded
+            f = TimeFunction(tuple(term for term in f.terms if _may_jump(term[0], width)), f.dim)
         last = -np.inf
-        for t in breakpoints(may_jump, start, end).tolist() if f.bounded else ():
+        for t in breakpoints([phi for phi in f.histories if _may_jump(phi, width)], start, end):
             before, after, *wide = f.at(np.clip(t + width * np.array([-1, 1, -8, 8]), start, end))
             change = np.linalg.norm(after - before)
             # one of each cluster of breakpoints: what f changes by does not shrink with the time
@@ -284,6 +281,12 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
                 by = f"by {size:g}" if size < np.inf else "by an unknown distance"
                 sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
     return sorted(sentences)
+
+
+def _may_jump(history: Any, width: float) -> bool:
+    """Whether a history may change within so short a time."""
+    steep = not isinstance(history, Table) or np.diff(history.times).min() <= width
+    return bool(steep) and not isinstance(history, EXEMPT)
 
 
 def _moves(C: AnySet, metric: Factor) -> list[Move] | None:

@@ -366,11 +366,11 @@ class SweepingProcess(Displayed):
                     f"{where}, and A is singular: no velocity makes up for that, so that no "
                     "solution starts there; change u0, to so.compatible_start(process) for example"
                 )
+        remedy = f"a u0 with {what} {home}, or " if self.B is not None else ""
         warn(
             f"{where}. The solution exists and starts with a velocity; for a start at rest give "
-            "loads and prescribed motions that begin slowly, a dissipation that contains 0, as "
-            "so.Box(-g, g) for a friction bound g, or, where B is not 0, a u0 with "
-            f"{what} {home}",
+            f"{remedy}loads and prescribed motions that begin slowly, with a dissipation that "
+            "contains 0, as so.Box(-g, g)",
             InitialStateWarning,
         )
         return True

@@ -65,7 +65,9 @@ def smooth_intervals(moving: Motion, t: Array, parts: int = 1) -> Intervals:
 
 
 def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
-    """Interpolate on intervals between breakpoints."""
+    """Interpolate on intervals between breakpoints; on those that are there again only once."""
+    begin, first, again = np.unique(begin, return_index=True, return_inverse=True)
+    end = end[first]
     h, m = end - begin, len(begin)
     values = f.at((begin[:, None] + h[:, None] * GAUSS).ravel()).reshape(m, 4, f.dim)
     errors = np.zeros((m, len(f.histories), 2))
@@ -78,13 +80,13 @@ def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
             # polynomial, whose slope at an end of [0, 1] is 4 * 5 times its value there
             fourth = _derivative(history, 4, begin, end) * h**4
             errors[:, k] = np.outer(fourth / 24, [NODAL, 4 * 5 * NODAL])
-        elif f.bounded:
+        elif f.variation is not None or hasattr(history, "variation"):
             function, variation = f, f.variation
             if variation is None:
                 function, variation = TimeFunction.of(history, 1), history.variation
             for i, ends in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
                 errors[i, k] = _by_variation(function, history, variation, *ends)
-    return Interpolated(values, errors[..., 0], errors[..., 1])
+    return Interpolated(*(x[again] for x in (values, errors[..., 0], errors[..., 1])))
 
 
 def _by_variation(

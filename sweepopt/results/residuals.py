@@ -252,7 +252,7 @@ def _model(
         return _Model(data, intervals, summands, np.zeros(len(intervals.step)), points), reason
     model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
-        return model, reason
+        return model, _unknown(process.C, motion(process.C))
     intervals = smooth_intervals(model.motion, nodes.t, SETS_OF_STEP)
     middles = 0.5 * (intervals.begin + intervals.end)
     shapes = [process.C.at(t) for t in middles.tolist()]

@@ -88,14 +88,15 @@ class StateVelocity:
         none = np.zeros(0, dtype=int)
         self._plan, self._contact = plan, none if plan.contact is None else plan.contact
         self._regular = True  # M, as far as is known
-        self._of_matrix = lru_cache(3)(self._new_inclusion)  # all, few, and the last M + H
+        data = M, metric, self._data, self._contact
+        self._of_matrix = lru_cache(3)(partial(_new_inclusion, *data))  # all, few, the last M + H
         self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
         self.forget()
 
     def forget(self) -> None:
         """Drop what solvers remember of earlier calls; the factorisations stay."""
         self._cascade: Cascade | None = None
-        self._mapping: ReturnMapping | None = None
+        self._mapping: tuple[Inclusion, ReturnMapping] | None = None
         self._cones: Cones | None = None
         self._one = lru_cache(1)(one_unknown)
         self._copy = lru_cache(1)(ConvexSet.copy_for_run)
@@ -154,12 +155,14 @@ class StateVelocity:
         """By return mapping, and certified; None where alpha' = |p'| is not certain."""
         if not of.S.exchanges(of.force[self._contact]):
             return None
-        inclusion = self._with_exchange(of)
+        if self._mapping is None:
+            inclusion = self._with_exchange(of)
+            mapping = ReturnMapping(inclusion.M, self._contact, of.S, self._tol)
+            self._mapping = inclusion, mapping
+        inclusion, mapping = self._mapping
         if inclusion.rests(of, self._tol):
             return at_rest(of.q)
-        if self._mapping is None:
-            self._mapping = ReturnMapping(inclusion.M, self._contact, of.S, self._tol)
-        velocity = refined(inclusion, partial(self._mapping.propose, of.S), of, self._tol)
+        velocity = refined(inclusion, partial(mapping.propose, of.S), of, self._tol)
         return velocity._replace(solver="return mapping", attempts=1)
 
     def _by_cones(self, of: Instance) -> Velocity:
@@ -183,19 +186,27 @@ class StateVelocity:
         H = exchanged(self._M, of.S, of.unknowns, of.force)
         return self._of_matrix(few) if H is None else self._of_matrix(few, H.diagonal().tobytes())
 
-    def _new_inclusion(self, few: bool, exchange: bytes = b"") -> Inclusion:
-        """Of M, or of M + H for the diagonal of H."""
-        M, metric, (A, B, gamma) = self._M, self._metric, self._data
-        if exchange:
-            H = sp.diags_array(np.frombuffer(exchange))
-            M, A = M + H, None if A is None else A + H
-        if few:
-            return Inclusion(Elimination(M, self._contact, metric.order), A, B, gamma)
-        if metric.M is not M:
-            if sp.issparse(M) and is_solid(M):  # of 107,855 unknowns factors take 0.9 GB
-                metric.forget()
-            metric = Factor(M, order=metric.order)
-        return Inclusion(metric, A, B, gamma)
+
+def _new_inclusion(
+    M: Matrix,
+    metric: Factor,
+    data: tuple[Any, Any, float],
+    contact: Array,
+    few: bool,
+    exchange: bytes = b"",
+) -> Inclusion:
+    """Of M, or of M + H for the diagonal of H."""
+    A, B, gamma = data
+    if exchange:
+        H = sp.diags_array(np.frombuffer(exchange))
+        M, A = M + H, None if A is None else A + H
+    if few:
+        return Inclusion(Elimination(M, contact, metric.order), A, B, gamma)
+    if metric.M is not M:
+        if sp.issparse(M) and is_solid(M):  # of 107,855 unknowns factors take 0.9 GB
+            metric.forget()
+        metric = Factor(M, order=metric.order)
+    return Inclusion(metric, A, B, gamma)
 
 
 class ReducedVelocity(StateVelocity):

@@ -106,7 +106,7 @@ class Trajectory:
         return self.plan.velocity(self._of_phases(t, Phase.velocity))
 
     def _of_phases(self, t: Any, value: Callable[[Phase, Array], Array]) -> Array:
-        """That of the unknowns in the phases, at the times."""
+        """u or u' of the unknowns of the phases at the times t."""
         times = checks.times_inside(t, np.array([self.starts[0], self.end]))
         flat = times.ravel()
         phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
