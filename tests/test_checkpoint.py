@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import random
+import sys
 import time
 import warnings
 import zipfile
@@ -483,6 +484,13 @@ def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path):
         so.solve(body(), t_end=2.0, steps=20, checkpoint=path)
     so.resume(path, body())
     assert so.solve(body(), t_end=1.0, steps=20, checkpoint=path).success
+
+
+def test_a_run_that_lacks_a_package_leaves_no_checkpoint(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tqdm.auto", None)
+    with pytest.raises(so.MissingExtraError, match="tqdm"):
+        so.solve(body(), t_end=1.0, steps=10, checkpoint=tmp_path / "run.npz", progress=True)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["run.npz", "run.npz.previous"])

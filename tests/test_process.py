@@ -214,6 +214,8 @@ class Square:
 
 STEP = so.Table([0, 0.7, 0.7 + 1e-12, 9], [0, 1, 3, 3])
 SMOOTH = so.Sine(1.0, period=0.1)
+# beside 1e5 its slow changes are a few rounding units at a time
+ROUNDED = so.Table([0, 0.2, 0.2 + 1e-13, *np.linspace(0.3, 2, 35)], [0, 0, *np.linspace(1, 2, 36)])
 JUMPS = [
     (so.Moving(so.Box(-1, 1), so.Separable([(STEP, 2), (SMOOTH, 1)])),
      r"C\(t\) jumps at t = 0\.7 by 2 \(center changes by 4\), in"),
@@ -225,10 +227,14 @@ JUMPS = [
      r"at t = 0\.5 by 1 \(center .* 0\.666667 by 9 \(scale .* t = 1 by 1 .* 1\.33333 by 9 "),
     (so.Moving(so.Ball(0, 9), so.Separable([(Square(0.2), 0.5), (SMOOTH, 1)])),
      r"at t = 0\.1 by 0\.5 .*at t = 0\.5 .*changes by 1\), and 14 more, in the norm"),
+    (so.Moving(so.Box(-1, 1), so.Separable([(ROUNDED, 1), (so.Constant(1e5), 1)])),
+     r"^C\(t\) jumps at t = 0\.2 by 0\.5 \(center changes by 1\), in"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("C, message", JUMPS, ids=["table", "scale", "h", "square", "many"])
+@pytest.mark.parametrize(
+    "C, message", JUMPS, ids=["table", "scale", "h", "square", "many", "large"]
+)
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_finite_jumps_of_data_are_named_once_with_their_times_and_sizes(C, message):
     process = isotropic(C, 4.0, 1.0)
