@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from sweepopt import __version__
 from sweepopt.checks import count
 from sweepopt.display import as_lines
-from sweepopt.driver import completed, initial
+from sweepopt.driver import finish, start
 from sweepopt.errors import (
     Status,
     SweepoptError,
@@ -250,7 +250,7 @@ def _run(options: argparse.Namespace) -> int:
         on_failure="stop",
         progress=not options.no_progress,
     )
-    run = initial(process, solving)
+    run = start(process, solving)
     norms = None
     if options.bound:  # what no bound is known of is refused before the run
         require_bound(process, run.plan)
@@ -259,7 +259,7 @@ def _run(options: argparse.Namespace) -> int:
 
     text = path.read_text(encoding="utf-8")
     text += "".join(f"\n# changed: {change}" for change in scene.changes)
-    solution = completed(process, solving, run)
+    solution = finish(process, solving, run)
     seconds, code = clock.perf_counter() - started, int(not solution.success)
     if len(solution.steps):
         report = output.Report(scene, solution, name=path.stem, text=text, seconds=seconds)

@@ -308,7 +308,7 @@ def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> So
         )
     # the bound has what an implicit scheme does in long steps; an explicit one may blow up
     unstable = options.on_unstable if scheme.explicit else "ignore"
-    run, finished = _passes(process, replace(options, on_unstable=unstable))
+    run, last_pass = _passes(process, replace(options, on_unstable=unstable))
     tol, cause, times = error, "", with_breakpoints(process, times)
     sol = run(times, options.tol)
     while sol.success:
@@ -318,7 +318,7 @@ def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> So
         except KeyboardInterrupt:
             return replace(sol, status=Status.INTERRUPTED)
         if bound <= error:
-            return finished(sol)
+            return last_pass(sol)
         if not cause and (tol < LEAST_TOL * error or (sol.passes[1:] and bound == math.inf)):
             cause = "shorter steps do not help; ask for less"
         if cause:
@@ -350,9 +350,9 @@ def _adapt(process: SweepingProcess, options: SolveOptions) -> Solution:
     saving(options.save, times, process.dim, options.memory)
     # errors are estimated, so no scheme is warned of
     asked = replace(options, scheme=scheme.name, on_unstable="ignore")
-    run, finished = _passes(process, asked)
+    run, last_pass = _passes(process, asked)
     sol, cause = adapt(run, process, options.steps, run(times, math.inf))
-    sol = finished(sol)
+    sol = last_pass(sol)
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
@@ -390,13 +390,13 @@ def _passes(
         seconds = float(sol.stats["seconds"].sum())
         return replace(sol, passes=(Pass(len(sol.stats), math.nan, seconds),))
 
-    def finished(sol: Solution) -> Solution:
+    def last_pass(sol: Solution) -> Solution:
         if not sol.success or (options.save is None and options.callback is None):
             return sol
         again = run(sol.t, sol.plan.tol, options.save, options.callback)
         return replace(again, passes=sol.passes)
 
-    return run, finished
+    return run, last_pass
 
 
 def _run(
@@ -406,12 +406,12 @@ def _run(
     stored: StoredRun | None = None,
 ) -> Solution:
     """Check what remains to be checked, and run."""
-    run = initial(process, options)
+    run = start(process, options)
     with checkpoint_writer(checkpoint, process, run, options, stored) as writer:
-        return completed(process, options, run, writer)
+        return finish(process, options, run, writer)
 
 
-def initial(process: SweepingProcess, options: SolveOptions) -> Run:
+def start(process: SweepingProcess, options: SolveOptions) -> Run:
     """The run before its first step; C(t) is checked at all times that are asked for."""
     times, mus = time_grid(options.t_end, options.steps)
     plan = options.plan(process, options.tableau(process), times, mus)
@@ -424,7 +424,7 @@ def initial(process: SweepingProcess, options: SolveOptions) -> Run:
     return Run(times, mus, plan, saved, plan.process_of(process).u0)
 
 
-def completed(
+def finish(
     process: SweepingProcess,
     options: SolveOptions,
     run: Run,

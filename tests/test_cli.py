@@ -23,7 +23,7 @@ from processes import python
 
 import sweepopt as so
 from sweepopt import cli, plot
-from sweepopt.driver import completed
+from sweepopt.driver import finish
 from sweepopt.io import list_scenes
 
 SCENE = """
@@ -140,7 +140,7 @@ def test_of_a_prescribed_displacement_the_energies_that_are_known_are_said(capsy
 
 
 def test_the_plan_is_printed_before_the_run(monkeypatch, capsys):
-    monkeypatch.setattr("sweepopt.cli.completed", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("sweepopt.cli.finish", Mock(side_effect=KeyboardInterrupt))
     assert run() == 130
     shown = capsys.readouterr().out
     assert "0 to 6 s in 30 steps" in shown
@@ -255,14 +255,12 @@ def test_a_warning_of_a_run_is_printed_once(monkeypatch, capsys):
 
 
 def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(monkeypatch, capsys):
-    def stopped(process, options, planned):
+    def stopped(process, options, run):
         assert options.on_failure == "stop"
-        solution = completed(
-            process, replace(options, callback=lambda info: info.step == 3), planned
-        )
+        solution = finish(process, replace(options, callback=lambda info: info.step == 3), run)
         return replace(solution, status=so.Status.INEXACT)
 
-    monkeypatch.setattr("sweepopt.cli.completed", stopped)
+    monkeypatch.setattr("sweepopt.cli.finish", stopped)
     assert run(files=False) == 1
     assert "missed tol" in capsys.readouterr().out
     summary = summary_in()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import worst_certificate
+from cases import refuses, worst_certificate
 from meshes import slips
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
@@ -125,6 +125,10 @@ def test_the_displacement_of_a_chain_is_a_curve_that_can_be_animated(tmp_path, m
     with Image.open(scene.animate(solution, tmp_path / "chain.gif", "displacement")) as shown:
         assert shown.n_frames == 3
     assert_allclose(2 * scene.displacement(solution, [0.75])[0], u[1] + u[2])
+    rate = scene.velocity(solution)
+    assert_array_equal(scene.velocity(solution, [0.0, 0.5, 0.75]), rate[[0, 0, 1]])
+    with refuses(r"t = 2\.5 is outside of \[0, 2\]"):
+        scene.velocity(solution, 2.5)
 
 
 @pytest.mark.slow

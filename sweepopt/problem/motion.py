@@ -273,10 +273,10 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
             f = TimeFunction(tuple(term for term in f.terms if _may_jump(term[0], width)), f.dim)
         last = -np.inf
         for t in breakpoints([phi for phi in f.histories if _may_jump(phi, width)], start, end):
-            before, after, *wide = f.at(np.clip(t + width * np.array([-1, 1, -8, 8]), start, end))
+            before, after, *around = f.at(np.clip(t + width * np.array([-1, 1, -8, 8]), start, end))
             change = np.linalg.norm(after - before)
             # one of each cluster of breakpoints: what f changes by does not shrink with the time
-            if t > last + width and change > 0.5 * np.linalg.norm(wide[1] - wide[0]):
+            if t > last + width and change > 0.5 * np.linalg.norm(around[1] - around[0]):
                 size, last = distance(after - before), t
                 by = f"by {size:g}" if size < np.inf else "by an unknown distance"
                 sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))

@@ -135,14 +135,15 @@ def _derivative(history: Any, order: int, begin: Array, end: Array) -> Array:
         return bounds
     if order > 1 and getattr(type(history), "piece", None) is History.piece:
         return bounds  # straight
-    number = np.searchsorted(breakpoints([history], begin.min(), end.max()), begin, side="right")
-    for some in (number == k for k in np.unique(number)):
-        a, b = begin[some], end[some]
-        origin, polynomial, waves = history.piece(float(a.min()), float(b.max()))
-        bounds[some] = sum(abs(amplitude) * abs(rate) ** order for amplitude, rate, _ in waves)
-        reach = np.maximum(abs(a - origin), abs(b - origin))
-        for k, c in enumerate(polynomial[order:], start=order):
-            bounds[some] += abs(c) * math.perm(k, order) * reach ** (k - order)
+    points = breakpoints([history], begin[0], end[-1])
+    for some in np.split(np.arange(len(begin)), np.searchsorted(begin, points)):
+        if some.size:
+            a, b = begin[some], end[some]
+            origin, polynomial, waves = history.piece(float(a[0]), float(b[-1]))
+            bounds[some] = sum(abs(amplitude) * abs(rate) ** order for amplitude, rate, _ in waves)
+            reach = np.maximum(abs(a - origin), abs(b - origin))
+            for k, c in enumerate(polynomial[order:], start=order):
+                bounds[some] += abs(c) * math.perm(k, order) * reach ** (k - order)
     return bounds
 
 
