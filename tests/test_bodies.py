@@ -499,8 +499,9 @@ def test_several_frictions_on_a_boundary_share_its_length():
         assert_array_equal(slip.contact.arc, [0.0, 0.5, 1.0, 1.5, 2.0])
     for slip in others[:2]:
         assert_allclose(slip.traction, first.traction, rtol=1e-9)
-        assert_allclose(slip.bound, 0.3)
-    assert_allclose(others[2].bound[0], [0.3, 0.3, 0.2, 0.1, 0.1])
+        assert_allclose([*slip.bound, slip.contact.bound], 0.3)
+    for bound in (others[2].bound[0], others[2].contact.bound):
+        assert_allclose(bound, [0.3, 0.3, 0.2, 0.1, 0.1])
 
 
 def test_no_traction_is_told_where_an_edge_and_the_face_of_a_sheet_rub():

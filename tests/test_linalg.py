@@ -3,6 +3,7 @@
 import math
 import sys
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from cvxopt import cholmod
 
 from sweepopt.errors import InputError
 from sweepopt.linalg import (
+    EPS,
     Elimination,
     Factor,
     InBlocks,
@@ -309,6 +311,32 @@ def test_a_matrix_at_the_limit_of_rounding_proves_nothing(convert):
     assert is_exactly_semidefinite((1, one))
     assert Factor(convert(one)).smallest_eigenvalue == 0.0
     assert largest_ratio(Factor(convert(one)), convert(laplacian(6))) == math.inf
+
+
+def test_factors_that_round_as_much_as_they_may_are_no_proof(monkeypatch):
+    """|M - L U| <= gamma |L| |U| lets each entry of this M, all near 1, round by 64 units."""
+    n, u, splu = 60, EPS / 2, spla.splu
+    signs = np.outer(*2 * [np.tile([1.0, -1.0], 30)])
+    M = np.ones((n, n)) + u * (2000 * np.eye(n) - 40 * signs)
+    assert not is_exactly_semidefinite((1, M))
+    rounding = sp.csc_matrix(np.pad(20 * u * signs, (0, 1)))
+    monkeypatch.setattr(spla, "splu", lambda M, **how: splu(M + rounding, **how))
+    # its largest diagonal entry and 1e-9 of it are tried first: 2
+    B = sp.block_diag([2 * np.eye(n) - M, [[2 / (1 + 1e-9)]]], "csc")
+    assert 2.0 < largest_ratio(Factor(sp.csc_array(sp.eye_array(n + 1))), B) < 2.0 + 1e-8
+
+
+def test_factors_that_are_not_symmetric_are_no_proof(monkeypatch):
+    M, splu = sp.csc_array(np.ones((6, 6)) + np.eye(6)), spla.splu
+
+    def skew(M, **how):
+        lu = splu(M, **how)
+        U = 2 * lu.U - sp.diags_array(lu.U.diagonal())
+        return SimpleNamespace(L=lu.L, U=U, perm_c=lu.perm_c, perm_r=lu.perm_r)
+
+    assert Factor(M).smallest_eigenvalue == pytest.approx(1.0)
+    monkeypatch.setattr(spla, "splu", skew)
+    assert Factor(M).smallest_eigenvalue == 0.0
 
 
 @pytest.mark.usefixtures("engine")
