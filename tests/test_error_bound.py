@@ -268,11 +268,15 @@ def test_a_sampled_bound_has_the_errors_of_the_terms_that_are_known():
         assert sol.error_bound() >= 0.06  # the error of 4,200 steps of sdirk2 is 0.061
 
 
-def test_a_scale_that_is_known_as_rows_alone_is_sampled():
-    C = so.Moving(so.Box(-1, 1), so.Sine(3.0, 4.0), so.VectorTable([0, 1, 5], [[1], [2], [1]]))
-    sol = so.solve(so.SweepingProcess(0.5, 1.0, C, 0.0), t_end=5.0, steps=40)
-    with pytest.warns(so.BoundWarning, match=r"scale\(t\) is a function"):
-        assert not sol.error_bound().guaranteed
+def test_a_scale_of_rows_of_one_entry_is_a_table():
+    def bound(scale):
+        C = so.Moving(so.Box(-1, 1), so.Sine(3.0, 4.0), scale)
+        sol = so.solve(so.SweepingProcess(0.5, 1.0, C, 0.0), t_end=5.0, steps=40)
+        return sol.error_bound()
+
+    of_rows = bound(so.VectorTable([0, 1, 5], [[1], [2], [1]]))
+    assert of_rows.guaranteed
+    assert of_rows == pytest.approx(bound(so.Table([0, 1, 5], [1, 2, 1])), rel=1e-9)
 
 
 def test_a_set_that_is_a_function_needs_its_variation_too():

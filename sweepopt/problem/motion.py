@@ -71,10 +71,10 @@ class TimeFunction:
         """Read what a set's center, scale or offsets may be."""
         if value is None:
             return cls((), dim)
-        if isinstance(value, Separable):
-            return cls(value.terms, dim)
-        if isinstance(value, VectorTable):
+        if isinstance(value, VectorTable) and dim > 1:
             return cls((), dim, value, value.variation)
+        if isinstance(value, (Separable, VectorTable)):
+            return cls(value.terms, dim)
         if dim == 1 and hasattr(value, "variation"):
             return cls(((value, np.ones(1)),), 1)
         return cls((), dim, value)
