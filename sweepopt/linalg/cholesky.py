@@ -68,7 +68,7 @@ class Cholesky:
     forward: Any = None
     backward: Any = None
     tail: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    method = "factors"
+    has_factors = True
 
     @property
     def N(self) -> Array:
@@ -219,13 +219,17 @@ def superlu(M: Matrix, order: Array | None, m: int) -> Cholesky:
         return Cholesky(lu.U.diagonal()[lu.perm_c], lu.solve, np.argsort(lu.perm_c))
     lu = spla.splu(sp.csc_matrix(M[order][:, order]), permc_spec="NATURAL", **SYMMETRIC)
     pivots, place = lu.U.diagonal(), np.argsort(order)
+
+    def solve(w: Array) -> Array:
+        return lu.solve(w[order])[place]
+
     if not m:
-        return Cholesky(pivots[place], lambda w: lu.solve(w[order])[place], order)
+        return Cholesky(pivots[place], solve, order)
     lower = (lu.L @ sp.diags_array(np.sqrt(np.abs(pivots)))).tocsc()
     triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
     return Cholesky(
         pivots[place],
-        lambda w: lu.solve(w[order])[place],
+        solve,
         order,
         lambda w: triangle.solve(w[order]),
         lambda y: triangle.solve(y, "T")[place],

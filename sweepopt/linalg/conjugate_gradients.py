@@ -30,7 +30,7 @@ class ConjugateGradients:
     SolverRefusedError where one does not converge, MissingExtraError without pyamg.
     """
 
-    method = "conjugate gradients"
+    has_factors = False
     order = None
 
     def __init__(self, M: Matrix, kept: Array | None = None) -> None:

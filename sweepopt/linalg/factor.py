@@ -52,8 +52,8 @@ class Factor:
         Those that a program with M has: all.
     order : ndarray of int or None
         An order of the unknowns with little fill, for a sparse M.
-    method : str
-        How its equations are solved, for people.
+    has_factors : bool
+        Whether its equations are solved by factors, not by conjugate gradients.
 
     Raises
     ------
@@ -99,7 +99,7 @@ class Factor:
         # relative to the diagonal: the test does not depend on units
         if not pivots.min() > PIVOT:
             raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
-        self.order, self.method = self._engine.order, self._engine.method
+        self.order, self.has_factors = self._engine.order, self._engine.has_factors
 
     @cached_property
     def _engine(self) -> Any:
@@ -215,11 +215,6 @@ class Factor:
             return 0.0
         forward = getattr(self._engine, "forward", None)
         return math.sqrt(max(w @ self.solve(w), 0.0)) if forward is None else euclidean(forward(w))
-
-    @property
-    def has_factors(self) -> bool:
-        """Whether its equations are solved by factors, not by conjugate gradients."""
-        return self.method == "factors"
 
     @cached_property
     def smallest_eigenvalue(self) -> float:

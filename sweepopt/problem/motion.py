@@ -235,7 +235,7 @@ class Move(NamedTuple):
 
 def variation(C: AnySet, metric: Factor, times: Array) -> Variation:
     """The sum of the variations of all that C(t) moves with, or of the distances of members."""
-    moves, guaranteed = _moves(C, metric), metric.method == "factors"
+    moves, guaranteed = _moves(C, metric), metric.has_factors
     if moves is None:
         each = [C.distance_bound(D) for C, D in pairwise(map(C.at, times.tolist()))]
         total = _in_metric(sum(np.inf if d is None else d for d in each), metric)

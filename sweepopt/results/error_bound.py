@@ -202,7 +202,7 @@ def error_bound(
         t = _refined(t, growth.shares, more)
     most = largest + np.maximum(ends[:-1], ends[1:]) + rounding
     A, B = np.fmin(A, most), np.fmin(B, most * (1.0 if norms.weak else math.sqrt(norms.Lam)))
-    if process.metric.method != "factors":
+    if not process.metric.has_factors:
         reason = reason or "the matrices are too large for factors, which would prove their Lam"
     return ErrorBound.make(reason, run.t, A, B, lower)
 

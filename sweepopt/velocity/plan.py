@@ -301,7 +301,7 @@ def _left_out(
         yield "B: there is none, velocities do not depend on history"
     if process.rate_independent:
         yield "A: it is zero, the process is rate-independent"
-    if process.metric.method != "factors":
+    if not process.metric.has_factors:
         size = factor_bytes(process.metric.M) / 1e9
         yield f"factors: they would need {size:.3g} GB; conjugate gradients take their place"
     if not solvers:

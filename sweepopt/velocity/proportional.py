@@ -187,7 +187,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     rho = proportion(process.A, process.B) if process.coercive else None
     lacks = {
         "A is singular": not process.coercive,
-        "the factors of A do not fit in memory": process.metric.method != "factors",
+        "the factors of A do not fit in memory": not process.metric.has_factors,
         "B is not a multiple of A": rho is None,
         "C(t) is not written as f(t) + E^T S(t) with E selecting few unknowns": selection is None,
         "the load is a function of time, not a Separable of few shapes": (
