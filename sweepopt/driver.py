@@ -277,13 +277,13 @@ def resume(
     stored = newest(Checkpoint(path))
     process = sweeping(process)
     options = SolveOptions.from_json(stored.record["options"])
-    options = replace(options, callback=callback, progress=progress)
     times, _ = time_grid(options.t_end, options.steps)
     require_same_problem(stored, process, times)
     if (stored.record["options"]["save"] == {"function": True}) != callable(save):
         need = "needs" if save is None else "had no"
         raise InputError(f"save: the run in {stored.file} {need} function of (t, u, z) as save")
-    options = options if save is None else replace(options, save=save)
+    save = save or options.save  # what is no function is in the file
+    options = replace(options, save=save, callback=callback, progress=progress)
     checkpoint = Checkpoint(path, **stored.record["checkpoint"])
     return _run(process, options, checkpoint, stored)
 

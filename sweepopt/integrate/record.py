@@ -203,14 +203,13 @@ class Run:
     def __init__(self, times: Array, mus: Array, plan: Plan, saving: Saving, u0: Array) -> None:
         self.times, self.mus, self.plan, self.saving = times, mus, plan, saving
         self.recorded: list[Any] = []
-        self._saved_steps = saving.steps
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.exact: Trajectory | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
         self._rows, self._ends = np.full(len(mus), 0, ROW), times.data  # gives floats of Python
         self._solvers: dict[str, int] = {}
-        self._nodes = np.zeros((self._saved_steps.size + 1, u0.size))
-        self._velocities = np.zeros((self._saved_steps.size, u0.size))
+        self._nodes = np.zeros((self.saving.steps.size + 1, u0.size))
+        self._velocities = np.zeros((self.saving.steps.size, u0.size))
         self._nodes[0] = u0
         # steps that are done and kept, the last state, velocity and compensation of its sum: one
         # assignment, so that Ctrl-C finds them of the same step
@@ -250,7 +249,7 @@ class Run:
             relative,
             number,
         )
-        if i == self._saved_steps[k]:
+        if i == self.saving.steps[k]:
             self._nodes[k + 1], self._velocities[k] = u, z
             k += 1
         self._last = i + 1, k, u, z, compensation
@@ -258,7 +257,7 @@ class Run:
     def states(self) -> States:
         """The kept ones of the steps that are done, and the last one."""
         done, k, u, velocity, _ = self._last
-        steps = self._saved_steps[:k]
+        steps = self.saving.steps[:k]
         if done and done - 1 not in steps[-1:]:
             steps = np.append(steps, done - 1)
             self._nodes[k + 1], self._velocities[k] = u, velocity

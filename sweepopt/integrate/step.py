@@ -161,11 +161,11 @@ class Velocities:
         velocity = self(gamma if process.B is not None else 0.0)
         result = program = velocity(u, process.set_at(t, u) if C is None else C)
         q = self._contraction(gamma)
-        last = size = velocity.distance(result.z, np.zeros_like(u)) if q else 0.0
+        last = size = velocity.norm(result.z) if q else 0.0
         for _ in range(100 if q else 0):  # a contraction of 0.8 gives ten digits
             before, error = result, program.certificate
             program = velocity(u, process.set_at(t, u + gamma * before.z))
-            distance = velocity.distance(program.z, before.z)
+            distance = velocity.norm(program.z - before.z)
             if distance > q * last + error + program.certificate + ROUNDING * size:
                 raise InputError(
                     f"lipschitz of C(t, u) is too small: at t = {t:g} the set changes more with "

@@ -113,10 +113,9 @@ class StateVelocity:
             return self.of_force(np.zeros_like(u), C)
         return self.of_force(self._B.dot(u), C, u)
 
-    def distance(self, z: Array, other: Array) -> float:
-        """|z - other|_M."""
-        difference = z - other
-        return math.sqrt(max(difference.dot(self._M.dot(difference)), 0.0))
+    def norm(self, z: Array) -> float:
+        """|z|_M."""
+        return math.sqrt(max(z.dot(self._M.dot(z)), 0.0))
 
     def of_force(self, q: Array, C: ConvexSet, u: Array | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""

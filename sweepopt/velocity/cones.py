@@ -47,22 +47,20 @@ class Rows(NamedTuple):
     tied: Array
 
 
-def radii(S: ConvexSet) -> Array | None:
-    """The radii of all balls, if S is E^T of nothing but balls around 0."""
-    form = S.form()
-    if form.F.shape[0] or not all(isinstance(shape_of(part), Balls) for part in form.parts):
-        return None
-    g = np.concatenate([part.offsets for part in form.parts])
-    return g if form.E.shape[1] % g.size == 0 else None
+def radii(S: ConvexSet) -> Array:
+    """The radii of the balls that S is made of."""
+    return np.concatenate([part.offsets for part in S.form().parts])
 
 
 def blocks(S: ConvexSet) -> Rows | None:
-    """Its rows, if all balls have one dimension and all blocks are tied or held."""
-    g = radii(S)
-    if g is None or len({part.dim // part.offsets.size for part in S.form().parts}) > 1:
+    """The rows of S = E^T of balls of one dimension around 0, if all blocks are tied or held."""
+    columns, F, parts = S.form()
+    if F.shape[0] or not all(isinstance(shape_of(part), Balls) for part in parts):
         return None
-    E, m = sp.csr_array(S.form().E.T, copy=True), g.size
-    b = E.shape[0] // m
+    E, m = sp.csr_array(columns.T, copy=True), radii(S).size
+    b, centers = divmod(E.shape[0], m)  # a ball elsewhere has its center in the offsets
+    if centers or len({part.dim // part.offsets.size for part in parts}) > 1:
+        return None
     E.eliminate_zeros()
     local = Local.of(E, b)
     entries = local.entries
@@ -106,7 +104,6 @@ class Cones:
     def propose(self, S: ConvexSet, residual: Array, z: Array | None) -> Proposal:
         """The pair for the linear term residual - M z, from the base z."""
         g, dim = self._radii if S is self.S else radii(S), self._M.dim
-        assert g is not None
         base, start, enough = z, np.zeros(dim), 0.1 * self._tol
         if base is None:
             base, start = start, self._z
