@@ -6,7 +6,7 @@ All take one form: matrices, terms of the load, and rows that yield,
 
 A new effect is one frozen dataclass with a method `contribute`, and one line in
 `EFFECTS` of scene_file.py; its fields are its keys in a scene file. Errors start with the name of
-the field at fault. Effects that are integrals of one kind have a base: `StrainLaw`, `Mass`,
+the field at fault. Effects that are integrals of one kind have a base: `StrainLaw`, `LocalLaw`,
 `Density`.
 
 Units in the docstrings are those of solids and of sections, whose forces and energies are per
@@ -216,7 +216,7 @@ class StrainLaw(Record):
         Groups of fields of which one is given.
     moduli : callable (body, place)
         lam and mu at the points of a quadrature; mu is None where a tensor is given.
-    argument : callable (body, motion)
+    deformation : callable (body, motion)
         The displacement or velocity, at all nodes, whose strain it is.
     matrix : {"A", "B"}
         The matrix that it adds.
@@ -226,7 +226,7 @@ class StrainLaw(Record):
     choices: ClassVar[tuple[tuple[str, ...], ...]]
     tensor: Any
     moduli: Any
-    argument: Any
+    deformation: Any
 
     def __post_init__(self) -> None:
         fields = [name for names in self.choices for name in names]
@@ -253,7 +253,7 @@ class StrainLaw(Record):
             return None
 
         def deviator(motion: Kinematics) -> Array:
-            u, place = self.argument(body, motion), body.whole
+            u, place = self.deformation(body, motion), body.whole
             lam, mu = self.moduli(body, place)
             free = body.with_unknowns(clamped=(), held={}, turned=())
             rows = deviators(free, place, lam, mu)[:, body.nodes.T.ravel()]
@@ -303,7 +303,7 @@ class Viscosity(StrainLaw):
     data = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
     matrix, choices = "A", (("eta",), ("tensor",))
 
-    def argument(self, body: Discretisation, motion: Kinematics) -> Array:
+    def deformation(self, body: Discretisation, motion: Kinematics) -> Array:
         """u'."""
         return motion.rate
 
@@ -353,7 +353,7 @@ class Elasticity(StrainLaw):
         "; give E, Young's modulus, and nu, Poisson's ratio, or kappa in antiplane shear",
     )
 
-    def argument(self, body: Discretisation, motion: Kinematics) -> Array:
+    def deformation(self, body: Discretisation, motion: Kinematics) -> Array:
         """u."""
         return motion.u
 
@@ -378,7 +378,7 @@ class Elasticity(StrainLaw):
     moduli = lame
 
 
-class Mass(Record):
+class LocalLaw(Record):
     """The base of laws ``int c u . v`` on boundaries, subdomains or the whole body.
 
     Attributes
@@ -401,7 +401,7 @@ class Mass(Record):
 
 
 @dataclass(frozen=True)
-class Dashpot(Mass):
+class Dashpot(LocalLaw):
     """``a(u', v) = int eta u' . v`` on boundaries, subdomains or the whole body.
 
     Parameters
@@ -430,7 +430,7 @@ class Dashpot(Mass):
 
 
 @dataclass(frozen=True)
-class Foundation(Mass):
+class Foundation(LocalLaw):
     """``b(u, v) = int k u . v``: Winkler's springs on boundaries, subdomains or the whole body.
 
     Where the other ends of the springs move by d(t), they add the load ``int k d(t) . v``: a body
@@ -956,7 +956,7 @@ class MaxwellBranch(StrainLaw):
         number("tau", self.tau, 0.0, strict=True)
         super().__post_init__()
 
-    def argument(self, body: Discretisation, motion: Kinematics) -> Array:
+    def deformation(self, body: Discretisation, motion: Kinematics) -> Array:
         """u - w, of the spring."""
         return motion.u - body.expand(motion.internal)
 
