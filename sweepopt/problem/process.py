@@ -54,7 +54,7 @@ from sweepopt.sets import (
     Point,
     StateDependent,
     check_features,
-    exchanged,
+    exchange_matrix,
     image,
     kind_without_certificate,
 )
@@ -199,7 +199,7 @@ class SweepingProcess(Displayed):
         except IndefiniteError:
             C = self.C.shape if isinstance(self.C, Moving) else self.C.at(0.0)
             # isotropic hardening alone bounds p by alpha' >= |p'|
-            if (H := exchanged(M, C)) is not None:
+            if (H := exchange_matrix(M, C)) is not None:
                 self.metric = Factor(M + H, "A + tau B")
                 return
             raise IndefiniteError(NOT_HELD) from None

@@ -12,7 +12,7 @@ from sweepopt.sets.base import (
     NoHalfspacesError,
     Selection,
     binary,
-    exchanged,
+    exchange_matrix,
     placed,
     same_array,
 )

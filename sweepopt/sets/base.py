@@ -101,7 +101,7 @@ def neighbours(D: Array) -> Blocks:
     return Blocks(np.arange(D.shape[0] * D.shape[1]).reshape(D.shape[:2]), D)
 
 
-def exchanged(
+def exchange_matrix(
     M: Any, C: ConvexSet, unknowns: Any = slice(None), force: Array | None = None
 ) -> sp.dia_array | None:
     """H with `ConvexSet.exchange` of a set on these unknowns, zeros beside them.

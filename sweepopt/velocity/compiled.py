@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from sweepopt.checks import Array
 from sweepopt.errors import IndefiniteError
 from sweepopt.linalg import Elimination, Factor, is_solid
-from sweepopt.sets import Box, ConvexSet, Point, Similar, exchanged, same_array
+from sweepopt.sets import Box, ConvexSet, Point, Similar, exchange_matrix, same_array
 from sweepopt.velocity.cascade import Cascade, by_solve, refined
 from sweepopt.velocity.certificate import (
     Inclusion,
@@ -182,7 +182,7 @@ class StateVelocity:
 
     def _with_exchange(self, of: Instance, few: bool = False) -> Inclusion:
         """Of M + H, H the stiffness that the set exchanges; of M where there is none."""
-        H = exchanged(self._M, of.S, of.unknowns, of.force)
+        H = exchange_matrix(self._M, of.S, of.unknowns, of.force)
         return self._of_matrix(few) if H is None else self._of_matrix(few, H.diagonal().tobytes())
 
 

@@ -21,7 +21,7 @@ from sweepopt.checks import Array, Matrix, count, number, vector
 from sweepopt.display import Brief, as_lines, brief
 from sweepopt.errors import IndefiniteError, InputError
 from sweepopt.linalg import Factor
-from sweepopt.sets import ConvexSet, Point, Similar, exchanged, in_turn
+from sweepopt.sets import ConvexSet, Point, Similar, exchange_matrix, in_turn
 from sweepopt.velocity.certificate import Velocity, certify_point
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ class StepProgram(Brief):
         try:
             M = Factor(self.M)
         except IndefiniteError:
-            if (H := exchanged(self.M, S, force=self.Bu - c)) is None:
+            if (H := exchange_matrix(self.M, S, force=self.Bu - c)) is None:
                 raise
             M = Factor(self.M + H)
         return certify_point(M, self.Bu - c, S, vector("z", z, S.dim), 0.0)
