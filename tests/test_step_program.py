@@ -128,6 +128,13 @@ def test_the_velocity_of_a_scheme_with_stages_is_their_weighted_sum(scheme):
     assert not np.allclose(answers[0].z, answers[1].z, atol=1e-4)
 
 
+def test_auto_is_the_scheme_that_solve_takes():
+    sol = chain(tol=1e-9)
+    begin, end = sol.t[7:9]
+    program = so.step_program(sol.process, begin, sol.u[7], end - begin, scheme="auto", stage=2)
+    assert optimum(program) == pytest.approx(optimum(sol.step_program(7, stage=2)), abs=1e-7)
+
+
 @pytest.mark.parametrize("path", ["proportional", "eliminated"])
 def test_where_sdirk32_took_steps_of_implicit_euler_their_programs_are_given(path):
     sol = chain(40.0, scheme="sdirk32", tol=1e-9, path=path)  # mu Lam = 4

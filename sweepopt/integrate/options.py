@@ -26,7 +26,7 @@ from sweepopt.integrate.grid import (
     meeting_breakpoints,
 )
 from sweepopt.integrate.record import Callback
-from sweepopt.integrate.schemes import AUTOMATIC, Scheme, choose
+from sweepopt.integrate.schemes import ADAPTING, AUTOMATIC, Scheme, choose
 from sweepopt.io import decoded, encoded
 from sweepopt.loads import Slope, Table
 from sweepopt.problem import SweepingProcess, histories_of
@@ -80,10 +80,8 @@ class SolveOptions:
 
     def tableau(self, process: SweepingProcess) -> Scheme:
         """The scheme; "auto" is another one for steps that adapt."""
-        name, adaptive = self.scheme, isinstance(self.steps, Adaptive)
-        if isinstance(name, str) and name == "auto" and not adaptive:
-            return AUTOMATIC
-        scheme = choose(name, process.coercive)
+        adaptive = isinstance(self.steps, Adaptive)
+        scheme = choose(self.scheme, process.coercive, ADAPTING if adaptive else AUTOMATIC)
         if adaptive or scheme.exact:
             process.refuse_state("Adaptive" if adaptive else "scheme 'exact'")
         if adaptive and not (process.coercive or process.rate_independent):

@@ -125,6 +125,10 @@ SCHEMES = {
 # sdirk2 takes 0.7 of the time where step * Lam <= 2, but of 636 rows at 1e-2 it was above twice the
 # best of implicit-euler, midpoint and sdirk2 in 19, sdirk32 in 3
 AUTOMATIC = replace(SCHEMES["sdirk32"], reason="second order and L-stable, for any step * Lam")
+ADAPTING = SCHEMES["sdirk2"]
+"""For steps that adapt to their errors: its last stage is at the end of the step, where data turn.
+Midpoint has none there, and misses a slip that begins after the last midpoint before a
+breakpoint."""
 
 
 def implicit_euler(steps: int) -> Scheme:
@@ -142,13 +146,9 @@ def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float) -> 
     return scheme.amplification(-min(mu * process.Lam, HUGE)) < -least
 
 
-def choose(name: str, coercive: bool) -> Scheme:
-    """The scheme of that name; "auto" is the one for steps that adapt to their errors.
-
-    Its last stage is at the end of the step, where data turn: midpoint has none there, and misses a
-    slip that begins after the last midpoint before a breakpoint.
-    """
-    known = {"auto": SCHEMES["sdirk2"], **SCHEMES}
+def choose(name: str, coercive: bool, automatic: Scheme = AUTOMATIC) -> Scheme:
+    """The scheme of that name; "auto" is the automatic one."""
+    known = {"auto": automatic, **SCHEMES}
     if not isinstance(name, str) or name not in known:
         names, hint = ", ".join(known), suggestion(name, known)
         raise InputError(f"scheme {shown(name)} is not known; use {names}{hint}")

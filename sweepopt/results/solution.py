@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -740,8 +739,7 @@ def _read_run(path: str | PathLike[str]) -> tuple[dict[str, Any], dict[str, Arra
 
 def guaranteed_bound(solution: Solution) -> Any:
     """The `ErrorBound` of a run; nan if there is none, or only samples of C(t) are known."""
-    with suppress(SweepoptError), warnings.catch_warnings():
-        warnings.simplefilter("ignore", BoundWarning)
-        bound = solution.error_bound()
+    with suppress(SweepoptError):
+        bound = solution._bound  # without the warning
         return bound if bound.guaranteed else np.nan
     return np.nan
