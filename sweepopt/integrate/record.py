@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sweepopt.velocity import Plan, Velocity
 
 Index = Any  # int, slice or array of ints
+SaveFunction = Callable[[float, Array, Array], Any]
 
 
 class States(NamedTuple):
@@ -103,7 +104,7 @@ class Saving(NamedTuple):
     """
 
     steps: Array
-    function: Callable[[float, Array, Array], Any] | None = None
+    function: SaveFunction | None = None
     path: Path | None = None
 
 
@@ -152,7 +153,6 @@ class StepInfo(NamedTuple):
 
 
 Callback = Callable[[StepInfo], "bool | None"]
-SaveFunction = Callable[[float, Array, Array], Any]
 
 
 class Step(NamedTuple):

@@ -187,12 +187,13 @@ def make_plan(
     reduced: Reduction | str = "the unknowns shall be kept"
     if path in ("auto", "proportional") and contact is not None and not cones:
         reduced = reduce(process, tol, members[0][0])
-    if path == "proportional" and isinstance(reduced, str):
+    reduction = None if isinstance(reduced, str) else reduced
+    if path == "proportional" and reduction is None:
         raise PathError(f"path='proportional' does not apply: {reduced}")
     condensed = False
-    if scheme.exact and isinstance(reduced, str):
+    if scheme.exact and reduction is None:
         contact = None  # the closed form has all unknowns in it
-    elif isinstance(reduced, str) and solver == "auto" and path in ("auto", "return mapping"):
+    elif reduction is None and solver == "auto" and path in ("auto", "return mapping"):
         condensed = _condenses(process, members, contact, path)
     if path == "return mapping" and not condensed:
         raise PathError(
@@ -216,7 +217,7 @@ def make_plan(
         tol=tol,
         left_out=tuple(_left_out(process, solvers, all(C.certifiable for _, C in members))),
         contact=None if cones else contact,
-        reduction=None if isinstance(reduced, str) else reduced,
+        reduction=reduction,
         condensed=condensed,
         cones=cones,
     )
