@@ -166,6 +166,16 @@ def test_stiff_bodies_lose_no_digits(rates):
     assert np.abs(found(times) - expected).max() <= 1e-13
 
 
+def test_a_hold_of_a_million_relaxation_times_is_one_phase():
+    """The velocity only decays: steps proved free of events were as long as a relaxation time,
+    and stood still where it underflows."""
+    load = so.Table([0.0, 1.0, 1e6, 1e6 + 1.0], [0.0, 3.0, 3.0, 0.0])
+    found = exact(block(load), 1e6 + 1.0)
+    assert found.switches == pytest.approx([1 / 3, 1.0, 1e6, 1e6 + 2 / 3], abs=1e-9)
+    back = 1.5 * (1 / 3 + np.expm1(-4 / 3) / 4)  # slips back by that from 1
+    assert found([1e3, 1e6, 1e6 + 1.0]).ravel() == pytest.approx([1.0, 1.0, 1 - back], abs=1e-9)
+
+
 def test_a_start_outside_of_the_set_begins_with_a_velocity():
     found = exact(block(SLIDING, u0=5.0), 8.0)
     # 0.5 u' + 2 u = 3 sin 2t + 1 at first

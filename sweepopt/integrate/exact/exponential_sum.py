@@ -51,7 +51,8 @@ class ExponentialSum:
         return self.weights.shape[1] - self.rates.size - 1
 
     @cached_property
-    def _powers(self) -> Array:
+    def powers(self) -> Array:
+        """0, 1, ..., degree."""
         return np.arange(self.degree + 1)
 
     @cached_property
@@ -63,7 +64,7 @@ class ExponentialSum:
         """The powers and exponentials at tau, shape (..., degree + 1 + l)."""
         tau = np.asarray(tau, dtype=float)[..., None]
         return np.concatenate(
-            [(tau / self.length) ** self._powers, np.exp(self.rates * tau)], axis=-1
+            [(tau / self.length) ** self.powers, np.exp(self.rates * tau)], axis=-1
         )
 
     def bound(self, tau: float) -> Array:
@@ -82,7 +83,7 @@ class ExponentialSum:
         """The derivative in tau."""
         W, end = self.weights, self.degree
         D = np.zeros_like(W)
-        D[:, :end] = W[:, 1 : end + 1] * (self._powers[1:] / self.length)
+        D[:, :end] = W[:, 1 : end + 1] * (self.powers[1:] / self.length)
         D[:, end + 1 :] = W[:, end + 1 :] * self.rates
         return self.with_weights(D)
 
@@ -177,6 +178,7 @@ def first_root(f: ExponentialSum, orders: Array) -> float:
         root = np.sqrt(slope**2 + 2 * M * height)
         h = np.where(slope < 0, 2 * height / (root - slope), (slope + root) / M)
         h = np.where(zero, np.maximum(h, np.sqrt(noise / M)), h)
+        h[~zero & _stays_positive(f, b, tau)] = np.inf
         if tau == 0.0:
             until = _positive_until(f, orders)
             # until = 0: rounding hides the leading derivative, and the values decide
@@ -193,6 +195,18 @@ def first_root(f: ExponentialSum, orders: Array) -> float:
         f"no event in {ITERATIONS} steps that are proved free of events; the rates of the "
         "process are too far apart for scheme='exact', use implicit-euler or sdirk2"
     )
+
+
+def _stays_positive(f: ExponentialSum, b: Array, tau: float) -> Array:
+    """Entries whose slowest terms, constants or decays, exceed the sizes of all others at tau.
+
+    They stay positive: a velocity that only decays needs steps of the length 1 / rate otherwise.
+    """
+    rates = np.append(np.zeros(f.degree + 1), -f.rates.real)
+    slow = rates == np.where(f.weights == 0, np.inf, rates).min(axis=1, keepdims=True)
+    slow[:, np.append(f.powers > 0, f.rates.imag != 0)] = False
+    slowest = (f.weights * b * slow).real.sum(axis=1)
+    return slowest > (f.sizes * f.bound(tau) * ~slow).sum(axis=1)
 
 
 def _beyond_touch(f: ExponentialSum, rows: Array, tau: float, noise: Array) -> Array | None:
