@@ -251,6 +251,13 @@ def test_the_distance_of_a_jump_that_is_not_known_is_not_made_up():
         isotropic(C).check_jumps(0.0, 1.0)
 
 
+@pytest.mark.parametrize("moves", [{"scale": STEP}, {"center": so.Separable([(STEP, [1.0, 0])])}])
+def test_jumps_of_what_an_intersection_is_made_of_are_named(moves):
+    C = so.Moving(so.Box([-1, -1], [1, 1]), **moves) & so.Ball([0.0, 0.0], 9.0)
+    with pytest.warns(so.VariationWarning, match=r"0\.7 by an unknown .* \(a history changes"):
+        isotropic(C).check_jumps(0.0, 1.0)
+
+
 def test_steep_noisy_and_fast_loads_are_no_jumps():
     noise = so.Table(np.linspace(0, 2, 2001), np.random.default_rng(0).normal(size=2001))
     steep = so.Table([0, 0.5, 0.5 + 9e-4, 1e6], [0, 0, 9, 9])

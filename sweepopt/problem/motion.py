@@ -266,7 +266,11 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
     """
     # between times that are the same to the library
     sentences, width = [], TIME_SLACK * max(abs(start), abs(end))
-    for name, f, distance in _moves(C, metric) or ():
+    moves = _moves(C, metric)
+    if moves is None:  # such as an intersection: by how much is not known
+        functions = [TimeFunction.of(phi, getattr(phi, "dim", 1)) for phi in histories_of(C)]
+        moves = [Move("a history", f, lambda _: np.inf) for f in functions]
+    for name, f, distance in moves:
         if not f.bounded:
             continue
         if f.function is None:  # beside large terms that cannot jump others are rounded
