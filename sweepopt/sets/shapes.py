@@ -129,9 +129,11 @@ class Box(ConvexSet):
     @cached_property
     def _matrix(self) -> Any:
         """G of { w : G w <= offsets }."""
+        if self.dim <= DENSE:  # sparse ones take half of what compiling a program takes
+            identity = np.eye(self.dim)
+            return np.concatenate([identity[self._up], -identity[self._low]])
         identity = sp.eye_array(self.dim, format="csr")
-        G = sp.vstack([identity[self._up], -identity[self._low]], format="csr")
-        return G if self.dim > DENSE else G.toarray()
+        return sp.vstack([identity[self._up], -identity[self._low]], format="csr")
 
     def halfspaces(self) -> Halfspaces:
         return Halfspaces.below(self._matrix, self.offsets)

@@ -219,18 +219,21 @@ def _shortest(L: Array, rows: Touching, bend: Array, q: Array) -> tuple[Array, A
     None where rounding keeps the method from an answer.
     """
     G, h, curvature, blocks, point = rows
-    one = np.eye(q.size)
-    tangent = one - G.T @ ((curvature > 0)[:, None] * G)
-    root = np.sqrt(bend @ blocks)[:, None] * tangent  # K = root^T root
-    R = scipy.linalg.qr(np.vstack([one, root @ L]), mode="r")[0][: q.size].T
-    metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
-    bent = (root @ metric).T @ (root @ (point - q))
+    one, metric, bent, R = np.eye(q.size), L, np.zeros_like(q), None
+    if bend.any():
+        tangent = one - G.T @ ((curvature > 0)[:, None] * G)
+        root = np.sqrt(bend @ blocks)[:, None] * tangent  # K = root^T root
+        R = scipy.linalg.qr(np.vstack([one, root @ L]), mode="r")[0][: q.size].T
+        metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
+        bent = (root @ metric).T @ (root @ (point - q))
     center = q + metric @ bent
     rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(center))
     shortest = least_distance(G @ metric, h - G @ center, rounding)
     if shortest is None:
         return None
-    x = scipy.linalg.solve_triangular(R, bent + shortest.u, lower=True, trans=1)
+    x = bent + shortest.u
+    if R is not None:
+        x = scipy.linalg.solve_triangular(R, x, lower=True, trans=1)
     return x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1), shortest.active
 
 
