@@ -5,6 +5,7 @@ Ellipsoids are projected on through the secular equation in their axes.
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +58,7 @@ class Balls(ConvexSet):
     """
 
     center: Array | float = 0.0
-    sharp_gaps = True
+    sharp_gaps = differentiable = True
 
     def __init__(self, radii: Any, dim: int) -> None:
         self.radii = self.offsets = entries("radii", radii)
@@ -167,6 +168,20 @@ class Ball(Balls):
     def features(self, p: cp.Expression) -> Features:
         sizes, constraints = super().features(p)
         return Features([p, *sizes], constraints)
+
+    def project(self, w: Array) -> Array:
+        # as `project_rows`, in a tenth of the time: composed sets ask it ten times a step
+        arm = w - self.center
+        size = math.sqrt(arm.dot(arm))
+        return w if size <= self.radius else self.center + self.radius / size * arm
+
+    def blocks(self, v: Array) -> list[Blocks]:
+        arm, D = v - self.center, np.eye(self.dim)
+        size = math.sqrt(arm.dot(arm))
+        if size > self.radius:
+            n = arm / size
+            D = self.radius / size * (D - n[:, None] * n)
+        return [neighbours(D[None])]
 
     @property
     def shift_sizes(self) -> Array:
@@ -316,7 +331,7 @@ class Ellipsoid(ConvexSet):
     2.0
     """
 
-    fixed = ("matrix",)
+    fixed, differentiable = ("matrix",), True
     _shape: Array | None = None
 
     def __init__(self, center: Any, shape: Any) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 from operator import add, and_
 from typing import TYPE_CHECKING, Any
 
@@ -86,6 +86,11 @@ class Lifted(ConvexSet):
         """Of each part, near the numbers in its columns: in them a program sees numbers near 1."""
         sizes = abs(sp.vstack(self.lifted[:2])).max(axis=0).toarray().ravel()
         return [binary(float(sizes[at].max())) for _, at in placed(self.lifted.parts)]
+
+    @cached_property
+    def _bounded(self) -> bool:
+        """Whether all parts are."""
+        return math.isfinite(self.part.magnitude())
 
     @cached_property
     def offsets(self) -> Array:  # type: ignore[override]
@@ -168,15 +173,12 @@ class Lifted(ConvexSet):
         """
         E, F, stacked = self.lifted
         parts = [C for part in stacked for C in part.factors()]
-        owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
-        member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
-        alone = sp.vstack([E, F]).count_nonzero(axis=0) == 1
-        alone &= E.T @ (np.diff(E.indptr) == 1) == 1
-        placed_only = (np.bincount(owner, ~alone) == 0)[owner]
-        table = sp.vstack([abs(E), abs(F), member, sp.csr_array(placed_only[None])])
-        _, label = connected_components(sp.block_array([[None, table], [table.T, None]]), False)
-        cuts = np.cumsum([E.shape[0], F.shape[0], len(parts), 1])
-        of_w, of_F, of_part, of_placed, of_s = np.split(label, cuts)
+        dims = tuple(C.dim for C in parts)
+        if self.lifted.small:
+            labels = _small_components(self.lifted.rows.tobytes(), F.shape[0], dims)
+        else:
+            labels = _components(E, F, dims)
+        of_w, of_F, of_part, of_placed, of_s = labels
         groups = np.intersect1d(of_w, of_s)
         if groups.size < 2:
             return None
@@ -197,22 +199,22 @@ class Lifted(ConvexSet):
         near: Projection = self._memo(v, self._projection)
         return near
 
-    def start_at(self, v: Array, s: Array, n: Array) -> None:
-        self._last = v.tobytes(), self._projection(v, Start(s, n))
-
     def _projection(self, v: Array, start: Start | None = None) -> Projection:
         near = self._projector(v.copy(), start)
+        self._refuse_touching(near)
+        return near
+
+    def _refuse_touching(self, near: Projection) -> None:
         limit = TENSION_EXACT if near.exact else TENSION
         cut = self._cut and self.lifted.small
         # a polyhedron's is linear in the data, however large its multipliers are
-        sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
+        sure = near.exact and (self.polyhedral or np.array_equal(near.w, near.v))
         if cut and not sure and near.splitting.is_tense(near, limit):
             raise TouchingError(
                 "C & D: the two sets only touch, or miss each other, so that rounding "
                 "hides the projection; give what they share as a set of its own, a Point "
                 "for example, or let them overlap by 1e-8 of their size"
             )
-        return near
 
     def is_beyond(self, w: Array, distance: float) -> bool:
         """By the half-space of the last projection, which bodies that slide seldom come back to."""
@@ -259,6 +261,15 @@ class Lifted(ConvexSet):
         if self._cut or np.isfinite(self.support(clean)):
             p = clean
         return NormalPair(p, near.w.copy(), 0.0)
+
+    def pair_from(self, start: Start, p: Array, w: Array, tau: Array) -> NormalPair | None:
+        p = np.where(np.abs(p) <= ROUNDING * np.abs(p).max(), 0.0, p)
+        near = self._projector.pair(p, start)
+        off = near.splitting.perturbation(near, p, limit=10.0)
+        if off is None or not (self._cut or self._bounded or np.isfinite(self.support(p))):
+            return self.normal_pair(p, w, tau)
+        self._refuse_touching(near)
+        return NormalPair(p, near.w, 0.0, off)
 
     def _nearest(self, v: Array) -> NormalPair:
         """The projection of v and its normal, as exact as they are found, of a set that is one."""
@@ -355,6 +366,9 @@ class Lifted(ConvexSet):
         self.part.require_nonempty(where)
         if self._blocks is not None:
             self._blocks.require_nonempty(where)
+        elif self.operands and not isinstance(self, Intersection):
+            for C in self.operands:
+                C.require_nonempty(where)
         elif self._cut and self.certifiable and self._is_empty():
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
 
@@ -374,6 +388,27 @@ class Lifted(ConvexSet):
             return False
         support = residuals.support(-near.w)
         return support < -rounding * distance or (near.exact and support == math.inf)
+
+
+def _components(E: sp.csr_array, F: sp.csr_array, dims: tuple[int, ...]) -> list[Array]:
+    """Which component each w, row of F and part of these dims is in, the parts that are only put
+    in their places, and each s."""
+    owner = np.repeat(np.arange(len(dims)), dims)
+    member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
+    alone = sp.vstack([E, F]).count_nonzero(axis=0) == 1
+    alone &= E.T @ (np.diff(E.indptr) == 1) == 1
+    placed_only = (np.bincount(owner, ~alone) == 0)[owner]
+    table = sp.vstack([abs(E), abs(F), member, sp.csr_array(placed_only[None])])
+    _, label = connected_components(sp.block_array([[None, table], [table.T, None]]), False)
+    return np.split(label, np.cumsum([E.shape[0], F.shape[0], len(dims), 1]))
+
+
+@lru_cache(16)  # sets that are stated anew at every time have the same matrices
+def _small_components(rows: bytes, m: int, dims: tuple[int, ...]) -> list[Array]:
+    """Of the rows of E and F, F having m."""
+    every = np.frombuffer(rows).reshape(-1, sum(dims))
+    E, F = np.split(every, [len(every) - m])
+    return _components(sp.csr_array(E), sp.csr_array(F), dims)
 
 
 def _rounded(v: Array) -> Perturbation:
@@ -417,8 +452,7 @@ class Intersection(Lifted):
     """
 
     def _pair_of_one(self, v: Array) -> NormalPair | None:
-        # where its point lies in the others: exact from any v. Without it steps on a ball cut by a
-        # box take 1.4 to 2.5 times as long
+        # where its point lies in the others: exact from any v
         if all(C.exact for C in self.operands):
             for part in self.operands:
                 w = part.project(v)

@@ -369,7 +369,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         # columns of numbers near 1: their units, powers of two, go to the set
         units = sp.diags_array(1 / row_units(COLUMN, M.T))
         M, C = M @ units, Polyhedron(C.G @ units, C.h)
-    return Lifted(C.form().image(M))
+    return Lifted(C.form().image(M), C)
 
 
 def _require_set(what: str, C: ConvexSet, D: Any) -> None:

@@ -55,7 +55,7 @@ class Polytope(ConvexSet):
     array([0.5, 0.5])
     """
 
-    polyhedral, fixed = True, ("vertices",)
+    polyhedral, fixed, differentiable = True, ("vertices",), True
 
     def __init__(self, vertices: Any) -> None:
         self.vertices = dense(matrix("vertices", vertices))

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from sweepopt.checks import Array
-from sweepopt.linalg import dense, row_lengths
+from sweepopt.linalg import dense, euclidean, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, placed
 from sweepopt.sets.shapes import Box
 
@@ -98,10 +98,19 @@ class Projector:
         return near
 
     def _from(self, v: Array, start: Start) -> Projection:
-        """From a start, in units in which its points are as large as its normals.
+        """From a start. Where normals become large on the way, their units are known only then."""
+        splitting, (s, n), size = self._in_units(v, start)
+        return splitting.projection(v, s - n, size)
 
-        Where normals have become large on the way, the units for them are known only then.
-        """
+    def pair(self, p: Array, start: Start) -> Projection:
+        """That of w + p on w, if points and normals of the parts make w and p."""
+        splitting, (s, n), _ = self._in_units(p, start)
+        s, image = splitting.projected(s + n), s + n
+        w = splitting.E @ s
+        return Projection(w + p, w, s, image, True, splitting)
+
+    def _in_units(self, v: Array, start: Start) -> tuple[Splitting, Start, float]:
+        """Units in which the points of a start are as large as its normals, and their size."""
         plain = self.splitting(1.0)
         s, n = start.scaled(plain.units)
         size_s = float(max(np.abs(s).max(), plain.rounding_scale(s).max()))
@@ -109,8 +118,7 @@ class Projector:
         if not size_s + size_n:  # 0, and from 0, which may be far from the parts
             size_s = float(np.abs(plain.projected(s)).max())
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
-        size = max(unit * size_s, size_n / unit)
-        return self.splitting(unit).projection(v, unit * s - n / unit, size)
+        return self.splitting(unit), Start(unit * s, n / unit), max(unit * size_s, size_n / unit)
 
 
 class InMetric:
@@ -125,7 +133,7 @@ class InMetric:
         self._projector = Projector(form._replace(E=self._inverse @ dense(form.E)))
 
     def __call__(self, q: Array, start: Start | None) -> tuple[Array, Start, Array | None]:
-        """About z, the points of the parts, and the normals that add up to -z.
+        """About z, points of the parts, and their normals, of which -z is made.
 
         And the point of C, if they are known to rounding.
         """
@@ -141,18 +149,25 @@ class Splitting:
     def __init__(self, form: Form, units: Array) -> None:
         self.small, self.units = form.small, units
         self.smooth = form.small and all(part.differentiable for part in form.parts)
-        self.parts = [(part, at, units[at]) for part, at in placed(form.parts)]
+        self.parts = placed(form.parts)
+        # a box rounds nothing
+        self._rounded = [
+            (at, units[at], float(np.abs(part.offsets).max(initial=0.0)))
+            for part, at in self.parts
+            if not isinstance(part, Box)
+        ]
         m, n = form.F.shape
         if self.small:
             rows = form.rows / units
             self.E, self.F = rows[: -m or None], rows[len(rows) - m :]
-            self._K = _inverse(rows.tobytes(), m, n)
+            self._K, self._reflection, self._multipliers = _maps(rows.tobytes(), m, n)
         else:
             scale = sp.diags_array(1 / units)
             self.E, self.F = sp.csr_array(form.E @ scale), sp.csr_array(form.F @ scale)
             inner = sp.eye_array(n) + self.E.T @ self.E
             system = [[inner, self.F.T], [self.F, None]]
             self._factor = splu(sp.csc_array(sp.block_array(system)))
+        self._sums = [abs(M).sum(axis=1) for M in (self.E, self.F)]
 
     def K(self, x: Array) -> Array:
         """argmin of 1/2 |E s|^2 + 1/2 |s|^2 - <x, s> under F s = 0."""
@@ -162,24 +177,23 @@ class Splitting:
 
     def projected(self, x: Array) -> Array:
         """P_S(x)."""
-        each = [unit * part.project(x[at] / unit) for part, at, unit in self.parts]
-        return np.concatenate(each)
+        x = x / self.units
+        return self.units * np.concatenate([part.project(x[at]) for part, at in self.parts])
 
     def rounding_scale(self, x: Array) -> Array:
-        """The size of what projections round, entry by entry: a box rounds nothing."""
+        """The size of what projections round, entry by entry."""
         scale = np.zeros(x.size)
-        for part, at, unit in self.parts:
-            if not isinstance(part, Box):
-                scale[at] = unit * np.abs(np.append(x[at] / unit, part.offsets)).max()
+        for at, unit, size in self._rounded:
+            scale[at] = unit * max(np.abs(x[at] / unit).max(), size)
         return scale
 
     def derivative_of_parts(self, x: Array) -> Array | None:
         """Of the projection on the parts; None for large sets, and where a part has none."""
         if not self.smooth:
             return None
-        D = np.zeros((x.size, x.size))
-        for part, at, unit in self.parts:
-            blocks = part.blocks(x[at] / unit)
+        D, x = np.zeros((x.size, x.size)), x / self.units
+        for part, at in self.parts:
+            blocks = part.blocks(x[at])
             if blocks is None:
                 return None
             for few, block in blocks:
@@ -190,48 +204,49 @@ class Splitting:
         """From x = s - n, n the normal; `size` is that of what is rounded in s and n."""
         center = self.K(self.E.T @ v)
 
-        def near(x: Array) -> Array:
-            """argmin of 1/2 |E s - v|^2 + 1/2 |s - x|^2 under F s = 0."""
-            return center + self.K(x)
+        def at(x: Array) -> Iterate:
+            """s the argmin of 1/2 |E s - v|^2 + 1/2 |s - x|^2 under F s = 0."""
+            s = center + self.K(x)
+            image = 2 * s - x
+            return Iterate(s, image, self.projected(image))
 
-        def residual(x: Array) -> Array:
-            s = near(x)
-            return self.projected(2 * s - x) - s
+        def step(x: Array) -> Array:
+            s, _, on_parts = at(x)
+            return x + (on_parts - s)
 
         if self.smooth:
-            x, fixed = self._newton(residual, near, x, size)
+            (s, image, on_parts), fixed = self._newton(at, x, size)
         else:
-            x, fixed = fixed_point(lambda x: x + residual(x), x, size)
-        s = near(x)
-        image = 2 * s - x
-        on_parts = self.projected(image)
+            x, fixed = fixed_point(step, x, size)
+            s, image, on_parts = at(x)
         # a far start may have left nothing but its rounding: judged by the data, and without it
-        off, limits = np.abs(self.F @ on_parts), size * abs(self.F).sum(axis=1)
+        off, limits = np.abs(self.F @ on_parts), size * self._sums[1]
         exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
         exact = exact and bool((off <= 10 * ROUNDING * limits).all())
         return Projection(v, self._point(v, on_parts, size), on_parts, image, exact, self)
 
-    def _newton(self, residual: Map, near: Map, x: Array, size: float) -> FixedPoint:
-        """Whole Newton steps on residual(x) = 0.
+    def _newton(
+        self, at: Callable[[Array], Iterate], x: Array, size: float
+    ) -> tuple[Iterate, bool]:
+        """Whole Newton steps on P_S(image) = s, and whether they end there to rounding.
 
         A multiple of 1 that goes to 0 with the residual makes the Jacobian regular where many x
         solve it (X. Xiao, Y. Li, Z. Wen, L. Zhang, A regularized semi-smooth Newton method with
         projection steps, J. Sci. Comput. 76, 2018). Where they go to and fro, proximal points help.
         """
-        r, one = residual(x), np.eye(x.size)
+        iterate, one = at(x), np.eye(x.size)
         for _ in range(NEWTON_STEPS):
+            r = iterate.on_parts - iterate.s
             if np.abs(r).max() <= ROUNDING * size:
-                return FixedPoint(x, True)
-            extent = max(size, float(np.abs(x).max()))
-            D = self.derivative_of_parts(2 * near(x) - x)
+                return iterate, True
+            D = self.derivative_of_parts(iterate.image)
             if D is None:
                 break
-            J = self._jacobian(D)
-            length = float(np.linalg.norm(r))
-            regular = J + min(max(length / extent, RANK), 1.0) * one
+            share = euclidean(r) / max(size, float(np.abs(x).max()))
+            regular = self._jacobian(D) + min(max(share, RANK), 1.0) * one
             x = x + np.linalg.solve(regular, r)
-            r = residual(x)
-        return FixedPoint(x, False)
+            iterate = at(x)
+        return iterate, False
 
     def proximal_points(self, v: Array, start: Start) -> Iterator[Start]:
         """Points s of the parts and their normals, nearer and nearer to those of the projection.
@@ -284,14 +299,14 @@ class Splitting:
 
     def _jacobian(self, D: Array) -> Array:
         """Of -residual."""
-        return self._K - D @ (2 * self._K - np.eye(len(D)))
+        return self._K - D @ self._reflection
 
     def _point(self, v: Array, s: Array, size: float) -> Array:
         """E s, or v itself where that is the same to rounding: v is in C.
 
         All parts are known to rounding of the largest one, which rows of F hand on.
         """
-        w, rounding = self.E @ s, ROUNDING * size * abs(self.E).sum(axis=1)
+        w, rounding = self.E @ s, ROUNDING * size * self._sums[0]
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
     def is_tense(self, near: Projection, times: float) -> bool:
@@ -300,11 +315,13 @@ class Splitting:
         They have no bound where the parts meet in no interior point.
         """
         pull = self.E.T @ (near.v - near.w)
-        held = self.F.T @ _shortest(self.F.T, pull - (near.image - near.s))
+        held = self.F.T @ (self._multipliers @ (pull - (near.image - near.s)))
         return bool(np.linalg.norm(held) > times * np.linalg.norm(pull))
 
-    def perturbation(self, near: Projection, p: Array) -> Perturbation | None:
+    def perturbation(self, near: Projection, p: Array, limit: float = 0.0) -> Perturbation | None:
         """How far w and p are from a pair, to first order; None where parts have no derivative.
+
+        Also where a residual is above a limit > 0, in rounding units of what it is made of.
 
         A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
         dx, dlam and the small dw, dp that make  n = E^T p - F^T lam,  F s = 0  and  w = E s  true
@@ -316,20 +333,23 @@ class Splitting:
         s, E, F, scale = near.s, self.E, self.F, self.rounding_scale(near.image)
         some = float(p.any())  # 0 is normal everywhere
         n, turns = some * (near.image - s), some * (np.eye(s.size) - D)
-        multipliers = _shortest(F.T, E.T @ p - n)
-        sizes = np.abs(s) + scale
+        pull, sizes = E.T @ p, np.abs(s) + scale
+        multipliers = self._multipliers @ (pull - n)
+        residuals = [pull - F.T @ multipliers - n, -F @ s, near.w - E @ s]
         forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + some * scale
-        off = [E.T @ p - F.T @ multipliers - n, -F @ s, near.w - E @ s]
-        rounding = np.concatenate([forces, np.abs(F) @ sizes, np.abs(E) @ sizes])
+        roundings = [forces, np.abs(F) @ sizes, np.abs(E) @ sizes]
+        for residual, size in zip(residuals, roundings, strict=True) if limit else ():
+            if np.abs(residual).max(initial=0.0) > limit * ROUNDING * size.max(initial=0.0):
+                return None
+        off, rounding = np.concatenate(residuals), np.concatenate(roundings)
         m, k = F.shape[0], p.size
-        system = np.block(
-            [
-                [turns, F.T, np.zeros((s.size, k)), -LIGHT * E.T],
-                [F @ D, np.zeros((m, m + 2 * k))],
-                [E @ D, np.zeros((k, m)), -LIGHT * np.eye(k), np.zeros((k, k))],
-            ]
-        )
-        right = np.column_stack([np.concatenate(off), ROUNDING / 4 * np.diag(rounding)])
+        dim, cut = s.size, s.size + m
+        system = np.zeros((cut + k, cut + 2 * k))
+        system[:dim, :dim], system[:dim, dim:cut] = turns, F.T
+        system[:dim, cut + k :] = -LIGHT * E.T
+        system[dim:, :dim] = np.concatenate([F, E]) @ D
+        system[cut:, cut : cut + k] = -LIGHT * np.eye(k)
+        right = np.concatenate([off[:, None], ROUNDING / 4 * np.diag(rounding)], axis=1)
         # a flat and a round part that overlap by d have rows of size sqrt(d), small but no rounding
         sizes = np.linalg.norm(system, axis=1, keepdims=True)
         sizes[sizes <= RANK * sizes.max()] = 1.0
@@ -361,12 +381,14 @@ def _step_length(gradient: Map, y: Array, step: Array, slope: float) -> float:
 
 
 @lru_cache(16)  # sets that are stated anew at every time have the same matrices
-def _inverse(rows: bytes, m: int, n: int) -> Array:
-    """K of the rows of E and F, F having m of n entries."""
+def _maps(rows: bytes, m: int, n: int) -> tuple[Array, Array, Array]:
+    """K, 2 K - 1 and the multipliers of F^T, from the rows of E and F, F having m of n entries."""
     E, F = np.split(np.frombuffer(rows).reshape(-1, n), [-m or len(rows)])
-    Z = scipy.linalg.null_space(F, RANK)
-    image = E @ Z
-    return np.asarray(Z @ np.linalg.solve(np.eye(Z.shape[1]) + image.T @ image, Z.T))
+    U, sizes, V = np.linalg.svd(F)
+    rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
+    Z, image = V[rank:].T, E @ V[rank:].T
+    K = Z @ np.linalg.solve(np.eye(n - rank) + image.T @ image, Z.T)
+    return K, 2 * K - np.eye(n), (U[:, :rank] / sizes[:rank]) @ V[:rank]
 
 
 def _shortest(M: Array, right: Array) -> Array:
@@ -374,6 +396,14 @@ def _shortest(M: Array, right: Array) -> Array:
     return np.asarray(
         scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy", check_finite=False)[0]
     )
+
+
+class Iterate(NamedTuple):
+    """Of an x: s, its image 2 s - x, and the point of the parts that is next to the image."""
+
+    s: Array
+    image: Array
+    on_parts: Array
 
 
 class FixedPoint(NamedTuple):
