@@ -193,6 +193,8 @@ class Form(NamedTuple):
     @classmethod
     def beside(cls, *forms: Form) -> Form:
         """C x D x ...: everything is stacked."""
+        if len(forms) == 1:
+            return forms[0]
         E, F = (
             sp.csr_array(sp.block_diag(Ms, format="csr"))
             for Ms in ([form.E for form in forms], [form.F for form in forms])
