@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -739,7 +740,8 @@ def _read_run(path: str | PathLike[str]) -> tuple[dict[str, Any], dict[str, Arra
 
 def guaranteed_bound(solution: Solution) -> Any:
     """The `ErrorBound` of a run; nan if there is none, or only samples of C(t) are known."""
-    with suppress(SweepoptError):
-        bound = solution._bound  # without the warning
+    with suppress(SweepoptError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", BoundWarning)
+        bound = solution.error_bound()
         return bound if bound.guaranteed else np.nan
     return np.nan
