@@ -80,12 +80,12 @@ error."""
 STIFF = 10
 """If step * lam is larger, the second run takes implicit Euler, else the trapezoidal rule, which at
 10 leaves 2/3 of an error after a step, with the other sign, and beyond it more."""
-WORK = (9, 5)
+WORK = (8, 5)
 """Steps, of one program each, that all second runs together may have for each program of the run:
 for up to SMALL unknowns with exact projections, and for others. One takes 0.5 to 0.9 of the time of
-a program of the run: 9 make most bounds cost less than 10 runs. With 8 in place of 10 bounds were
-1.03 times as loose (median of 40 runs; at most 1.4 times, and 1.5 times on seven uneven stiff
-bodies). 5 is what sdirk2 had for large bodies. For more than SMALL unknowns steps at
+a program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9 they were 1.02 times
+as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up to 1.5 times on seven
+uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than SMALL unknowns steps at
 rest do not count, as one takes a fiftieth of the time of another; for fewer they do: without them
 bounds were up to 1.5 times as loose."""
 SMALL, LARGE = 50, 1000
