@@ -282,7 +282,7 @@ def resume(
     if (stored.record["options"]["save"] == {"function": True}) != callable(save):
         need = "needs" if save is None else "had no"
         raise InputError(f"save: the run in {stored.file} {need} function of (t, u, z) as save")
-    save = save or options.save  # what is no function is in the file
+    save = options.save if save is None else save  # what is no function is in the file
     options = replace(options, save=save, callback=callback, progress=progress)
     checkpoint = Checkpoint(path, **stored.record["checkpoint"])
     return _run(process, options, checkpoint, stored)

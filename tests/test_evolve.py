@@ -1,6 +1,5 @@
 """The driver: grids, interpolant, failures, stability, callbacks, interruption."""
 
-import operator
 import warnings
 
 import numpy as np
@@ -9,7 +8,6 @@ from cases import SQUARE, block, isotropic, refuses
 from reference_cases import case
 
 import sweepopt as so
-from sweepopt.sets import Start
 from sweepopt.velocity import Answer
 
 
@@ -69,26 +67,6 @@ def test_a_solver_that_lies_is_believed_nothing():
     sol = so.solve(hard(), t_end=1.0, steps=10, solver=Lying())
     assert sol.success
     assert sol.u == pytest.approx(so.solve(hard(), t_end=1.0, steps=10).u, abs=1e-6)
-
-
-class LyingOfParts(so.Clarabel):
-    """A solver that says of which points and normals its wrong answer is made."""
-
-    def compile(self, program):
-        n = program.M.dim
-        z, start = np.full(n, 7.0), Start(np.zeros(2 * n), np.full(2 * n, -3.5))
-        return lambda q, C: Answer(z, status="solved", start=start)
-
-
-@pytest.mark.parametrize("operation", [operator.add, operator.and_])
-def test_points_and_normals_of_parts_are_believed_only_if_the_set_proves_them(operation):
-    image = so.image(np.diag([1.0, 2.0, 3.0]), so.Ball(np.zeros(3), 1.0))
-    C = operation(so.Ball([0.0, 0.2, 0.0], 1.0), image)
-    moving = so.Moving(C, lambda t: [3 * t, 2 * t, t])
-    process = so.SweepingProcess(np.eye(3), None, moving, np.zeros(3))
-    sol = so.solve(process, t_end=1.0, steps=5, solver=LyingOfParts())
-    assert sol.success
-    assert sol.u == pytest.approx(so.solve(process, t_end=1.0, steps=5).u, abs=1e-6)
 
 
 def test_a_tolerance_that_cannot_be_met_raises_or_stops_but_never_passes():

@@ -176,6 +176,18 @@ def test_a_hold_of_a_million_relaxation_times_is_one_phase():
     assert found([1e3, 1e6, 1e6 + 1.0]).ravel() == pytest.approx([1.0, 1.0, 1 - back], abs=1e-9)
 
 
+def test_a_switch_that_the_rounding_of_late_times_puts_too_early_is_passed():
+    """The same face followed twice from the same time, and the run ended there."""
+    A, B = [[3.6, -1.7], [-1.7, 0.98]], [[0.083, 0.056], [0.056, 0.91]]
+    times = np.cumsum([0.0, 1.0, 1e6, 1.0, 1e6])
+    load = so.VectorTable(times, [[0.0, 0.0], *2 * [[1.3, 0.2]], *2 * [[2.6, 1.9]]])
+    C = so.Moving(so.Box([-0.4, -0.5], [0.6, 1.0]), load)
+    process = so.SweepingProcess(A, B, C, np.zeros(2))
+    found = so.solve(process, steps=times, scheme="exact").exact
+    assert residual(process, found, times[-2] + np.geomspace(0.01, 1e6, 50)) <= 1e-13
+    assert integral_error(found) <= 1e-9
+
+
 def test_a_start_outside_of_the_set_begins_with_a_velocity():
     found = exact(block(SLIDING, u0=5.0), 8.0)
     # 0.5 u' + 2 u = 3 sin 2t + 1 at first

@@ -251,11 +251,17 @@ def test_the_distance_of_a_jump_that_is_not_known_is_not_made_up():
         isotropic(C).check_jumps(0.0, 1.0)
 
 
-@pytest.mark.parametrize("moves", [{"scale": STEP}, {"center": so.Separable([(STEP, [1.0, 0])])}])
-def test_jumps_of_what_an_intersection_is_made_of_are_named(moves):
-    C = so.Moving(so.Box([-1, -1], [1, 1]), **moves) & so.Ball([0.0, 0.0], 9.0)
-    with pytest.warns(so.VariationWarning, match=r"0\.7 by an unknown .* \(a history changes"):
+@pytest.mark.parametrize("name, f", [("scale", STEP), ("center", so.Separable([(STEP, [1.0, 0])]))])
+def test_jumps_of_what_an_intersection_is_made_of_are_named(name, f):
+    C = so.Moving(so.Box([-1, -1], [1, 1]), **{name: f}) & so.Ball([0.0, 0.0], 9.0)
+    with pytest.warns(so.VariationWarning, match=rf"0\.7 by an unknown .* \({name} changes"):
         isotropic(C).check_jumps(0.0, 1.0)
+
+
+def test_jumps_that_do_not_move_a_part_of_an_intersection_are_none():
+    center = so.Separable([(STEP, [1.0, 0]), (STEP, [-1.0, 0])])
+    C = so.Moving(so.Box([-1, -1], [1, 1]), center) & so.Ball([0.0, 0.0], 9.0)
+    isotropic(C).check_jumps(0.0, 1.0)
 
 
 def test_steep_noisy_and_fast_loads_are_no_jumps():

@@ -268,8 +268,7 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
     sentences, width = [], TIME_SLACK * max(abs(start), abs(end))
     moves = _moves(C, metric)
     if moves is None:  # such as an intersection: by how much is not known
-        functions = [TimeFunction.of(phi, getattr(phi, "dim", 1)) for phi in histories_of(C)]
-        moves = [Move("a history", f, lambda _: np.inf) for f in functions]
+        moves = [Move(name, f, lambda _: np.inf) for name, f in _functions(C)]
     for name, f, distance in moves:
         if not f.bounded:
             continue
@@ -285,6 +284,17 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
                 by = f"by {size:g}" if size < np.inf else "by an unknown distance"
                 sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
     return sorted(sentences)
+
+
+def _functions(C: AnySet) -> Iterator[tuple[str, TimeFunction]]:
+    """Names and functions of time that the sets move with of which C(t) is made."""
+    moving = motion(C)
+    if moving.summands:
+        yield moving.name, moving.center if moving.offsets is None else moving.offsets
+        yield from (("scale", scale) for scale, _ in moving.summands)
+    elif isinstance(C, MovingSet):
+        for part in C.operands:
+            yield from _functions(part)
 
 
 def _may_jump(history: Any, width: float) -> bool:

@@ -83,11 +83,11 @@ STIFF = 10
 WORK = (8, 5)
 """Steps, of one program each, that all second runs together may have for each program of the run:
 for up to SMALL unknowns with exact projections, and for others. One takes 0.5 to 0.9 of the time of
-a program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9 they were 1.02 times
-as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up to 1.5 times on seven
-uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than SMALL unknowns steps at
-rest do not count, as one takes a fiftieth of the time of another; for fewer they do: without them
-bounds were up to 1.5 times as loose."""
+a program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9 they were 1.02
+times as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up to 1.5 times on
+seven uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than SMALL unknowns
+steps at rest do not count, as one takes a fiftieth of the time of another; for fewer they do:
+without them bounds were up to 1.5 times as loose."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With 14 programs, which small bodies once had, bounds took 13 times as long as the run
 for 120 unknowns, 11 for 72 and 10 for 7. Of more than LARGE one curve v is tried."""

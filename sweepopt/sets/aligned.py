@@ -191,19 +191,9 @@ class Aligned(ConvexSet):
 
     def normal_pair(self, p: Array, w: Array, tau: Array) -> NormalPair | None:
         r, sign = self._scale
-        each = self._split(sign * p, self._back(w), tau / r)
-        return self._pair_of([S.normal_pair(*x) for S, *x in each], sign * p)
-
-    def pair_from(self, start: Any, p: Array, w: Array, tau: Array) -> NormalPair | None:
-        if not self.whole or self.v is not None:
-            return self.normal_pair(p, w, tau)
-        r, sign = self._scale  # r is in the parts
-        start = start._replace(s=start.s / r)
-        pair = self.parts[0].pair_from(start, sign * p, self._back(w), tau / r)
-        return self._pair_of([pair], sign * p)
-
-    def _pair_of(self, pairs: list[Any], p: Array) -> NormalPair | None:
-        r, sign = self._scale
+        p = sign * p
+        each = self._split(p, self._back(w), tau / r)
+        pairs: list[Any] = [S.normal_pair(*x) for S, *x in each]
         if any(pair is None for pair in pairs):
             return None
         off = None

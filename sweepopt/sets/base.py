@@ -17,6 +17,7 @@ and through the projection on C. Two facts make one small contract enough:
 
 from __future__ import annotations
 
+import copy
 import math
 import sys
 from abc import ABC, abstractmethod
@@ -427,6 +428,10 @@ class ConvexSet(Operators, ABC):
 
     # ---- what follows from it -----------------------------------------------------------------
 
+    def copy_for_run(self) -> ConvexSet:
+        """C for one run alone: `start_at` on it is not seen by others."""
+        return self if self.exact else copy.copy(self)
+
     def _memo(self, v: Array, function: Callable[[Array], Any]) -> Any:
         """function(v), kept for the last v: projection, derivative and pair ask in turn.
 
@@ -533,10 +538,6 @@ class ConvexSet(Operators, ABC):
         v = w + weights * p
         return NormalPair(self.normal(v) / weights, self.project(v), 0.0)
 
-    def pair_from(self, start: Any, p: Array, w: Array, tau: Array) -> NormalPair | None:
-        """`normal_pair`, where points of the parts and their normals may be known (`Start`)."""
-        return self.normal_pair(p, w, tau)
-
     def gap(self, p: Array, w: Array) -> float:
         """sigma(C, p) - <p, w> >= 0 for w in C; zero exactly if p is normal to C at w."""
         sigma = self.support(p)
@@ -585,6 +586,12 @@ class ConvexSet(Operators, ABC):
         constraints : list of cvxpy.Constraint
         """
         return self.algebra.epigraph(self, p)
+
+    def start_at(self, v: Array, s: Array, n: Array) -> None:
+        """Find the projection of v from points s of the parts and normals n; formulas need none.
+
+        Its last bits are those of this start: to be called on `copy_for_run`.
+        """
 
     def is_beyond(self, w: Array, distance: float) -> bool:
         """Whether it is known without a projection that w is further from C than that."""

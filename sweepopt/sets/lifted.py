@@ -88,11 +88,6 @@ class Lifted(ConvexSet):
         return [binary(float(sizes[at].max())) for _, at in placed(self.lifted.parts)]
 
     @cached_property
-    def _bounded(self) -> bool:
-        """Whether all parts are."""
-        return math.isfinite(self.part.magnitude())
-
-    @cached_property
     def offsets(self) -> Array:  # type: ignore[override]
         units = np.repeat(self._units, [part.offsets.size for part in self.lifted.parts])
         return np.append(np.zeros(self.lifted.F.shape[0]), units * self.part.offsets)
@@ -199,22 +194,22 @@ class Lifted(ConvexSet):
         near: Projection = self._memo(v, self._projection)
         return near
 
+    def start_at(self, v: Array, s: Array, n: Array) -> None:
+        self._last = v.tobytes(), self._projection(v, Start(s, n))
+
     def _projection(self, v: Array, start: Start | None = None) -> Projection:
         near = self._projector(v.copy(), start)
-        self._refuse_touching(near)
-        return near
-
-    def _refuse_touching(self, near: Projection) -> None:
         limit = TENSION_EXACT if near.exact else TENSION
         cut = self._cut and self.lifted.small
         # a polyhedron's is linear in the data, however large its multipliers are
-        sure = near.exact and (self.polyhedral or np.array_equal(near.w, near.v))
+        sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
         if cut and not sure and near.splitting.is_tense(near, limit):
             raise TouchingError(
                 "C & D: the two sets only touch, or miss each other, so that rounding "
                 "hides the projection; give what they share as a set of its own, a Point "
                 "for example, or let them overlap by 1e-8 of their size"
             )
+        return near
 
     def is_beyond(self, w: Array, distance: float) -> bool:
         """By the half-space of the last projection, which bodies that slide seldom come back to."""
@@ -261,15 +256,6 @@ class Lifted(ConvexSet):
         if self._cut or np.isfinite(self.support(clean)):
             p = clean
         return NormalPair(p, near.w.copy(), 0.0)
-
-    def pair_from(self, start: Start, p: Array, w: Array, tau: Array) -> NormalPair | None:
-        p = np.where(np.abs(p) <= ROUNDING * np.abs(p).max(), 0.0, p)
-        near = self._projector.pair(p, start)
-        off = near.splitting.perturbation(near, p, limit=10.0)
-        if off is None or not (self._cut or self._bounded or np.isfinite(self.support(p))):
-            return self.normal_pair(p, w, tau)
-        self._refuse_touching(near)
-        return NormalPair(p, near.w, 0.0, off)
 
     def _nearest(self, v: Array) -> NormalPair:
         """The projection of v and its normal, as exact as they are found, of a set that is one."""
@@ -452,7 +438,8 @@ class Intersection(Lifted):
     """
 
     def _pair_of_one(self, v: Array) -> NormalPair | None:
-        # where its point lies in the others: exact from any v
+        # where its point lies in the others: exact from any v. Without it steps on a ball cut by a
+        # box take 1.4 to 2.5 times as long
         if all(C.exact for C in self.operands):
             for part in self.operands:
                 w = part.project(v)

@@ -98,19 +98,10 @@ class Projector:
         return near
 
     def _from(self, v: Array, start: Start) -> Projection:
-        """From a start. Where normals become large on the way, their units are known only then."""
-        splitting, (s, n), size = self._in_units(v, start)
-        return splitting.projection(v, s - n, size)
+        """From a start, in units in which its points are as large as its normals.
 
-    def pair(self, p: Array, start: Start) -> Projection:
-        """That of w + p on w, if points and normals of the parts make w and p."""
-        splitting, (s, n), _ = self._in_units(p, start)
-        s, image = splitting.projected(s + n), s + n
-        w = splitting.E @ s
-        return Projection(w + p, w, s, image, True, splitting)
-
-    def _in_units(self, v: Array, start: Start) -> tuple[Splitting, Start, float]:
-        """Units in which the points of a start are as large as its normals, and their size."""
+        Where normals have become large on the way, the units for them are known only then.
+        """
         plain = self.splitting(1.0)
         s, n = start.scaled(plain.units)
         size_s = float(max(np.abs(s).max(), plain.rounding_scale(s).max()))
@@ -118,7 +109,8 @@ class Projector:
         if not size_s + size_n:  # 0, and from 0, which may be far from the parts
             size_s = float(np.abs(plain.projected(s)).max())
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
-        return self.splitting(unit), Start(unit * s, n / unit), max(unit * size_s, size_n / unit)
+        size = max(unit * size_s, size_n / unit)
+        return self.splitting(unit).projection(v, unit * s - n / unit, size)
 
 
 class InMetric:
@@ -133,7 +125,7 @@ class InMetric:
         self._projector = Projector(form._replace(E=self._inverse @ dense(form.E)))
 
     def __call__(self, q: Array, start: Start | None) -> tuple[Array, Start, Array | None]:
-        """About z, points of the parts, and their normals, of which -z is made.
+        """About z, the points of the parts, and the normals that add up to -z.
 
         And the point of C, if they are known to rounding.
         """
@@ -318,10 +310,8 @@ class Splitting:
         held = self.F.T @ (self._multipliers @ (pull - (near.image - near.s)))
         return bool(np.linalg.norm(held) > times * np.linalg.norm(pull))
 
-    def perturbation(self, near: Projection, p: Array, limit: float = 0.0) -> Perturbation | None:
+    def perturbation(self, near: Projection, p: Array) -> Perturbation | None:
         """How far w and p are from a pair, to first order; None where parts have no derivative.
-
-        Also where a residual is above a limit > 0, in rounding units of what it is made of.
 
         A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
         dx, dlam and the small dw, dp that make  n = E^T p - F^T lam,  F s = 0  and  w = E s  true
@@ -335,13 +325,9 @@ class Splitting:
         n, turns = some * (near.image - s), some * (np.eye(s.size) - D)
         pull, sizes = E.T @ p, np.abs(s) + scale
         multipliers = self._multipliers @ (pull - n)
-        residuals = [pull - F.T @ multipliers - n, -F @ s, near.w - E @ s]
+        off = np.concatenate([pull - F.T @ multipliers - n, -F @ s, near.w - E @ s])
         forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + some * scale
-        roundings = [forces, np.abs(F) @ sizes, np.abs(E) @ sizes]
-        for residual, size in zip(residuals, roundings, strict=True) if limit else ():
-            if np.abs(residual).max(initial=0.0) > limit * ROUNDING * size.max(initial=0.0):
-                return None
-        off, rounding = np.concatenate(residuals), np.concatenate(roundings)
+        rounding = np.concatenate([forces, np.abs(F) @ sizes, np.abs(E) @ sizes])
         m, k = F.shape[0], p.size
         dim, cut = s.size, s.size + m
         system = np.zeros((cut + k, cut + 2 * k))

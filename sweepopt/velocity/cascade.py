@@ -87,7 +87,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         if tol == math.inf and answer.normal and answer.w is not None:  # no solver is a proof
             pair = Proposal(answer.z, answer.w)
         elif usable:
-            pair = pair_near(N, linear, S, answer.z, tol, size, known, answer.start)
+            pair = pair_near(N, linear, S, answer.z, tol, size, known)
         if pair is None:
             nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED
             # of a set without proof; inf is a proof that rounding hides
@@ -161,7 +161,7 @@ class Attempt:
         """From residuals to the solver's normal pairs."""
         M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
-            S = selection.part
+            S = selection.part.copy_for_run()
         if self.compiled is None:
             self.compiled = self.solver.compile(VelocityProgram(M.small, S, tol < math.inf))
         compiled = self.compiled
@@ -237,7 +237,7 @@ class Cascade:
         proved: bool,
         anew: bool,
     ) -> None:
-        self._proved, self._moved = proved, True
+        self._proved = proved
         self._inclusion, self._cone, self._tol = inclusion, of.S, tol
         M, weights = inclusion.M, inclusion.M.diagonal[of.unknowns]
         # M is diagonal and the projection in its metric is the set's own: box, ball
@@ -277,10 +277,7 @@ class Cascade:
                     w = pair.w + of.c if pair.gap < math.inf else None
                     return Velocity(pair.z, math.nan, math.nan, attempt.solver.name, w=w)
                 attempt.compiled = None
-        # a projection that iterates takes as long as the program, which tells of most that it moves
-        late = self._moved and not of.S.exact and self._attempts[0].solver is NEWTON
-        self._moved = late or not inclusion.rests(of, tol)
-        if not self._moved:
+        if inclusion.rests(of, tol):
             return at_rest(of.q)
         if self._has_formula:
             # z = M^-1 (w - q + c), w the projection on C - c in the metric of M
@@ -296,10 +293,6 @@ class Cascade:
                 attempt.compiled = None
             iterations += velocity.iterations
             count += 1
-            if late and count == 1 and not inclusion.moves(of, velocity):
-                self._moved = not inclusion.rests(of, tol)
-                if not self._moved:
-                    return at_rest(of.q)
             if velocity.relative < best.relative or math.isnan(velocity.relative):
                 if not (attempt.from_best and best.relative < math.inf):  # else it is improved
                     solver = attempt.solver.name

@@ -32,7 +32,7 @@ from sweepopt.linalg import (
     product_error,
     rounding_weights,
 )
-from sweepopt.sets import ROUNDING, Box, ConvexSet, Start
+from sweepopt.sets import ROUNDING, Box, ConvexSet
 
 CLOSED_FORM = "closed form"  # who finds a velocity that a formula gives
 SHARE = 0.1  # of the tolerance, for rounding that is bounded and not looked at more closely
@@ -96,19 +96,15 @@ class Instance(NamedTuple):
 
     def rests(self) -> bool:
         """Whether z = 0: q is in C but for rounding."""
-        few, size, most = self.force[self.unknowns], self.force.dot(self.force), self.rest_limit
+        shifts = self.S.shift_sizes
+        squares = self.q.dot(self.q) + self.c.dot(self.c) + shifts.dot(shifts)
+        most = 3 * ROUNDING * math.sqrt(squares)  # of the length of what `is_rounding` allows
+        few, size = self.force[self.unknowns], self.force.dot(self.force)
         # what S does not act on, or S itself; a sum of a million squares rounds less than 1e-9
         if size - few.dot(few) > most**2 + 1e-9 * size or self.S.is_beyond(few, most):
             return False
         outside = self.force - self.projection(self.force)
         return euclidean(outside) <= most and self.is_rounding(outside)
-
-    @property
-    def rest_limit(self) -> float:
-        """The length of what `is_rounding` allows."""
-        shifts = self.S.shift_sizes
-        squares = self.q.dot(self.q) + self.c.dot(self.c) + shifts.dot(shifts)
-        return 3 * ROUNDING * math.sqrt(squares)
 
     def is_rounding(self, outside: Array) -> bool:
         """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
@@ -248,14 +244,6 @@ class Inclusion:
         """Whether q is in C, and B u as well where q may be rounded to more than a share of tol."""
         return of.rests() and (self.knows_rest(of, tol) or self.rests_exactly(of))
 
-    def moves(self, of: Instance, velocity: Velocity) -> bool:
-        """Whether a velocity proves that q is further from C than any q at rest.
-
-        Its |z|_M is the distance of q to C in |.|_{M^-1}.
-        """
-        nearest = self.M.bound_factor * of.rest_limit / self.M.root.min()
-        return self.M.norm(velocity.z) > velocity.certificate + nearest
-
     def knows_rest(self, of: Instance, tol: float) -> bool:
         """Whether the rounding of q = B u is less than a share of tol."""
         if of.u is None:
@@ -341,7 +329,6 @@ def pair_near(
     tol: float,
     size: float | None = None,
     force: Array | None = None,
-    start: Start | None = None,
 ) -> Proposal | None:
     """The normal pair of C near an approximate answer; None if the set has no proof.
 
@@ -349,10 +336,7 @@ def pair_near(
     """
     if force is None:
         force, _ = M.apply(z, q, SHARE * tol, size or 0.0)
-    if start is None:
-        pair = C.normal_pair(-z, force, M.diagonal)
-    else:
-        pair = C.pair_from(start, -z, force, M.diagonal)
+    pair = C.normal_pair(-z, force, M.diagonal)
     if pair is None:
         return None
     perturbation = 0.0

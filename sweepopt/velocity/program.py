@@ -21,7 +21,7 @@ from sweepopt.checks import Array, Matrix, count, number, vector
 from sweepopt.display import Brief, as_lines, brief
 from sweepopt.errors import IndefiniteError, InputError
 from sweepopt.linalg import Factor
-from sweepopt.sets import ConvexSet, Point, Similar, Start, exchange_matrix, in_turn
+from sweepopt.sets import ConvexSet, Point, Similar, exchange_matrix, in_turn
 from sweepopt.velocity.certificate import Velocity, certify_point
 
 if TYPE_CHECKING:
@@ -209,8 +209,7 @@ class Answer(NamedTuple):
 
     The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known.
     If `normal`, w is a point of C and -z is normal to C at w, both up to rounding; this is used
-    only where nothing is to be proved. From the start, near points of the parts of C and normals
-    that make -z, the set proves a pair.
+    only where nothing is to be proved.
     """
 
     z: Array
@@ -219,7 +218,6 @@ class Answer(NamedTuple):
     status: str = ""
     w: np.ndarray | None = None
     normal: bool = False
-    start: Start | None = None
 
 
 Solve = Callable[..., Answer]

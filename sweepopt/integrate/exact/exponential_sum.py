@@ -7,7 +7,8 @@ written as power series: where they cancel powers, no digits are lost.
 
 The first time at which one of several turns negative cannot be missed: a bound M of |f''| on all of
 the rest proves f > 0 up to the root of f + f' h - M h^2 / 2. Each step is the largest that is
-proved free of roots; from the left it converges to a simple root like Newton's method.
+proved free of roots; from the left it converges to a simple root like Newton's method. An entry
+whose slowest decay outweighs all others needs no steps: it stays positive.
 """
 
 from __future__ import annotations
@@ -200,7 +201,8 @@ def first_root(f: ExponentialSum, orders: Array) -> float:
 def _stays_positive(f: ExponentialSum, b: Array, tau: float) -> Array:
     """Entries whose slowest terms, constants or decays, exceed the sizes of all others at tau.
 
-    They stay positive: a velocity that only decays needs steps of the length 1 / rate otherwise.
+    The others decay at least as fast, or are bounded by their sizes: such an entry stays positive
+    up to the end. By M alone proved steps are no longer than about 1 / rate.
     """
     rates = np.append(np.zeros(f.degree + 1), -f.rates.real)
     slow = rates == np.where(f.weights == 0, np.inf, rates).min(axis=1, keepdims=True)

@@ -4,6 +4,7 @@ A run takes it on its grid, the inclusion checked at each node and late in each 
 a row that is missed is violated until its phase ends.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -137,9 +138,9 @@ def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase
             active = set(face.active)
             switch |= before is not None and (active != before or (s == a and bool(active)))
             again, stalled = stalled, s + length == s and active == before
-            if again and stalled:  # the same face from the same time: so are all that follow
-                return
             before, following = active, s + length
+            if again and stalled:  # the same face from the same time: its end is rounded to that
+                following, stalled = math.nextafter(s, b), False
             if b - following <= 32 * EPS * abs(b):
                 following = b  # but for rounding
             u = motion(following - s)

@@ -89,33 +89,29 @@ class _Iteration:
 
     def __call__(self, q: Array, C: ConvexSet, start: Array | None = None) -> Answer:
         self._z = self._z if start is None else start
-        if not C.exact and C.block == C.dim and start is None:
-            answer = self._nearest(q, C)
-            if answer is not None:
-                return answer
-        return self._iterate(q, C)
+        near = not C.exact and C.block == C.dim and start is None
+        if near:
+            self._z, w = self._nearest(q, C)
+            if w is not None:
+                return Answer(self._z, status="iterated", w=w, normal=True)
+        # a start that is exact but for rounding may end with the first residual
+        return self._iterate(q, C, stalled=int(near))
 
-    def _nearest(self, q: Array, C: ConvexSet) -> Answer | None:
-        """For a C whose own projection iterates, by one in the metric of M^-1.
+    def _nearest(self, q: Array, C: ConvexSet) -> tuple[Array, Array | None]:
+        """About z, for a C whose own projection iterates: from one in the metric of M^-1.
 
-        None where rounding, of its factors for example, leaves more than that of M z + q; z is
-        near then.
+        If nothing is to be proved, also the point of C to which -z is normal, if it is known.
         """
         if self._metric[0] is not C:
             self._metric = C, InMetric(C, dense(self._M.M))
-        self._z, self._start, member = self._metric[1](q, self._start)
-        if member is None:
-            return None
-        if not self._proved:
-            return Answer(self._z, status="iterated", w=member, normal=True)
-        w, size_z = self._M.apply(self._z, q, NEGLIGIBLE)
-        scale = 1 / self._M.root
-        rounding = EPS * (euclidean(w * scale) + size_z)
-        if euclidean((member - w) * scale) > 1e3 * rounding:
-            return None
-        return Answer(self._z, status="iterated", w=w, start=self._start)
+        z, self._start, member = self._metric[1](q, self._start)
+        if member is None or self._proved:
+            member, T = None, C.weights(self._M.diagonal)  # all equal: C is one block
+            w, _ = self._M.apply(z, q, NEGLIGIBLE)
+            C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
+        return z, member
 
-    def _iterate(self, q: Array, C: ConvexSet) -> Answer:
+    def _iterate(self, q: Array, C: ConvexSet, stalled: int) -> Answer:
         """Newton steps until z is exact to rounding.
 
         If nothing is to be proved, until the residual is negligible, with the point of C to which
@@ -124,7 +120,7 @@ class _Iteration:
         z = self._z
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest, stalled = math.inf, 0
+        smallest = math.inf
         for iteration in range(self._max_iter):
             w, size_z = self._M.apply(z, q, NEGLIGIBLE if self._proved else math.inf)
             v = w - T * z
