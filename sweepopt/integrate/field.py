@@ -195,7 +195,8 @@ def step_program(
     mu : float
         The step.
     scheme : str
-        As in `solve`; with "catching-up", the paper's scheme, M is A and f that of t + mu.
+        As in `solve`; with "catching-up", the paper's scheme, M is A and f that of t + mu. "auto"
+        has its three stages; `Solution.step_program` knows steps that implicit Euler took.
     stage : int
         Of a scheme with several, counted from 0. The library solves the stages before it, as B u
         is taken at the state to which they lead.
