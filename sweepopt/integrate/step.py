@@ -106,7 +106,7 @@ class Velocities:
         late to follow the velocities of the others: by A / M times their change, and not at all
         without viscosity. Both in squares, weighted by the diagonal of M. What rests in an earlier
         stage and starts is one of the others: counted as carried too far, it made one of 699 runs
-        2.3 times the best of three schemes (MATH 2). Where step * Lam <= 2 no error comes back with
+        2.3 times the best of three schemes (MATH 3). Where step * Lam <= 2 no error comes back with
         the other sign.
         """
         scheme, process = self._plan.scheme, self._process
