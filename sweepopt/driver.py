@@ -434,9 +434,9 @@ def finish(
     saved = run.saving
     files = StateFiles(saved.path, process.u0) if saved.path else None
     watchers: list[Callable[[StepInfo], Any]] = [files.put] if files else []
-    if record := saved.function:
+    if (record := saved.function) is not None:
         watchers.append(lambda step: run.recorded.append(record(step.t, step.u, step.velocity)))
-    if options.callback:
+    if options.callback is not None:
         watchers.append(options.callback)
     succeeded = False
     try:
@@ -486,5 +486,5 @@ def _solution(process: SweepingProcess, run: Run, files: StateFiles | None) -> S
         status=run.status,
         cause=f"{run.divided()} {run.cause}".strip(),
         trajectory=run.exact,
-        recorded=run.recorded if run.saving.function else None,
+        recorded=None if run.saving.function is None else run.recorded,
     )

@@ -82,6 +82,17 @@ def test_a_function_records_every_step_and_sees_all_unknowns(path):
     assert whole.recorded is None
 
 
+def test_an_empty_container_that_is_called_records_and_watches():
+    class Record(list):
+        def __call__(self, *step):
+            self.append(step)
+
+    recorded, watched = Record(), Record()
+    sol = so.solve(slider(), t_end=1.0, steps=4, save=recorded, callback=watched)
+    assert sol.recorded == [None] * 4
+    assert [t for t, u, z in recorded] == [step.t for (step,) in watched] == [0.25, 0.5, 0.75, 1.0]
+
+
 @pytest.mark.parametrize("path", PATHS)
 def test_a_file_holds_what_memory_would(path, tmp_path):
     whole, file = whole_run(path), tmp_path / "run.nc"

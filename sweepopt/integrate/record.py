@@ -338,15 +338,15 @@ def saving(save: Any, times: Array, dim: int, memory: float) -> Saving:
         if save < 1:
             raise InputError(f"save is {save}; a stride must be positive")
         kept = range(int(save) - 1, n, int(save))
+    elif callable(save):
+        takes("save", save, "t", "u", "z")
     elif isinstance(save, Iterable) and axes(save):
         kept = _steps_ending_at(vector("save", save), times)
-    elif not callable(save):
+    else:
         raise InputError(
             f"save must be None, 'last', a stride, times, a function of (t, u, z) or the name of "
             f"an .nc file; got {shown(save)}"
         )
-    else:
-        takes("save", save, "t", "u", "z")
     steps = np.union1d(np.array(kept, dtype=int), n - 1)  # the last one always
     size = 8.0 * dim * (2 * steps.size + 1)
     if size > memory:
