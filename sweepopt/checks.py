@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from inspect import signature
+from inspect import ismodule, signature
 from types import MappingProxyType
 from typing import Any, TypeAlias, TypeVar
 
@@ -53,6 +53,13 @@ def public(thing: Any) -> Any:
         thing = with_checks(thing)
         setattr(sys.modules[thing.__module__], thing.__name__, thing)
     return thing
+
+
+def face(names: dict[str, Any]) -> list[str]:
+    """The public names of a room: what its `__init__` imports but for modules; `dir` shows them."""
+    things = {key: one for key, one in names.items() if key[0] != "_" and not ismodule(one)}
+    names.update({key: public(one) for key, one in things.items()}, __dir__=things.keys)
+    return sorted(things)
 
 
 def with_checks(function: Any, owner: Any = None) -> Any:

@@ -10,10 +10,9 @@ a = int eta grad u . grad v, b = int kappa grad u . grad v, J(v) = int_{Gamma_3}
 tangential velocity.
 """
 
-from sweepopt.checks import public
-from sweepopt.errors import brought_by
+from sweepopt import checks, errors
 
-with brought_by("fem"):
+with errors.brought_by("fem"):
     import meshio
     import skfem
 
@@ -43,44 +42,4 @@ from sweepopt.fem.scene import Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, compare_effects, read_scene
 from sweepopt.fem.spaces import Discretisation
 
-__all__ = [
-    "EFFECTS",
-    "BodyForce",
-    "Coefficient",
-    "Contact",
-    "Contribution",
-    "Dashpot",
-    "Discretisation",
-    "Effect",
-    "Eigenstrain",
-    "Elasticity",
-    "Foundation",
-    "Friction",
-    "Initial",
-    "MaxwellBranch",
-    "OneWay",
-    "Plasticity",
-    "PointForce",
-    "PrescribedDisplacement",
-    "Profile",
-    "Rows",
-    "Scene",
-    "SlipWeakening",
-    "Traction",
-    "Viscosity",
-    "Yield",
-    "YieldStress",
-    "antiplane",
-    "body",
-    "chain",
-    "compare_effects",
-    "grid",
-    "read_mesh",
-    "read_scene",
-]
-
-globals().update({name: public(globals()[name]) for name in __all__})
-
-
-def __dir__() -> list[str]:
-    return __all__
+__all__ = checks.face(globals())
