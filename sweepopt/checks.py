@@ -214,12 +214,12 @@ def number(
     return result
 
 
-def tolerance(name: str, value: Any) -> float:
+def tolerance(tol: Any) -> float:
     """A positive number below 1, which is relative to the size of a velocity."""
-    result = number(name, value, minimum=0.0, strict=True)
+    result = number("tol", tol, minimum=0.0, strict=True)
     if result >= 1:
         raise InputError(
-            f"{name} must be < 1, got {result:g}: it is relative, and from 1 on no motion passes "
+            f"tol must be < 1, got {result:g}: it is relative, and from 1 on no motion passes "
             "for any; give 1e-6 for example"
         )
     return result
@@ -323,9 +323,9 @@ def entries(name: str, value: Any, finite: bool = True) -> Array:
     return result
 
 
-def times(name: str, value: Any) -> Array:
+def times(t: Any) -> Array:
     """Finite times as floats, of any shape; () for one of them."""
-    return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
+    return bounded("t", floats("t", t, "a time or an array of times"), "finite times")
 
 
 def increasing(name: str, value: Any, remedy: str = "", rows: Sequence[int] = ()) -> Array:
@@ -346,7 +346,7 @@ def increasing(name: str, value: Any, remedy: str = "", rows: Sequence[int] = ()
 
 def times_inside(value: Any, nodes: Array) -> Array:
     """Times between the ends of a run; one that misses a node by rounding is that node."""
-    array, (start, end) = times("t", value), nodes[[0, -1]].tolist()
+    array, (start, end) = times(value), nodes[[0, -1]].tolist()
     slack = TIME_SLACK * max(abs(start), abs(end))
     outside = ~((array >= start - slack) & (array <= end + slack))
     if outside.any():

@@ -371,7 +371,7 @@ def write_npz(
     path: Path,
     record: dict[str, Any],
     arrays: Mapping[str, Array],
-    previous: Path | None = None,
+    previous: Path | None,
 ) -> None:
     """Replace a file by an .npz of a record (plain JSON types) and of arrays of numbers.
 

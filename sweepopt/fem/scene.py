@@ -425,7 +425,7 @@ def method(
     schemes.choose(scheme, coercive=True)
     solvers.choose(solver, Point([0.0]))
     choice("path", path, PATHS)
-    return {"scheme": scheme, "solver": solver, "tol": tolerance("tol", tol), "path": path}
+    return {"scheme": scheme, "solver": solver, "tol": tolerance(tol), "path": path}
 
 
 def build(

@@ -81,7 +81,7 @@ def velocity_field(
     array([3.06250001])
     """
     process = sweeping(process)
-    tol = tolerance("tol", tol)
+    tol = tolerance(tol)
     if not process.coercive:
         raise InputError(
             "velocity_field needs A coercive: where it is singular the velocity is no function of "

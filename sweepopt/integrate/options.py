@@ -56,7 +56,7 @@ class SolveOptions:
         choice("on_unstable", self.on_unstable, ("raise", "warn", "ignore"))
         memory = number("memory", self.memory, minimum=0.0, strict=True)
         object.__setattr__(self, "memory", memory)
-        object.__setattr__(self, "tol", tolerance("tol", self.tol))
+        object.__setattr__(self, "tol", tolerance(self.tol))
         if isinstance(self.scheme, Adaptive):
             raise InputError(f"scheme {shown(self.scheme)}: Adaptive goes into steps")
         if self.steps is Adaptive:

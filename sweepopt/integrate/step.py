@@ -153,7 +153,7 @@ class Velocities:
                 return [Velocity(np.zeros_like(u), math.inf, math.inf, solver, attempts=1)]
         return stages
 
-    def _stage(self, gamma: float, t: float, u: Array, C: ConvexSet | None = None) -> Velocity:
+    def _stage(self, gamma: float, t: float, u: Array, C: ConvexSet | None) -> Velocity:
         """The velocity z of the state u + gamma z, where C depends on it by fixed-point iteration.
 
         z_{k+1} is the velocity of C(t, u + gamma z_k), z_0 = 0.

@@ -33,7 +33,7 @@ class ConjugateGradients:
     has_factors = False
     order = None
 
-    def __init__(self, M: Matrix, kept: Array | None = None) -> None:
+    def __init__(self, M: Matrix, kept: Array | None) -> None:
         with brought_by("speed"):
             import pyamg
         self.pivots = M.diagonal()

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Array, Matrix, divisor
 from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
-from sweepopt.linalg.cholesky import Cholesky, factorised, has_cholmod
+from sweepopt.linalg.cholesky import factorised, has_cholmod
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 from sweepopt.linalg.eigenvalues import largest_ratio
 from sweepopt.linalg.matrices import (
@@ -103,7 +103,23 @@ class Factor:
 
     @cached_property
     def _engine(self) -> Any:
-        return _engine(self.M, self.order, self._unknowns)
+        """What solves with M, and eliminates all unknowns but those that are kept."""
+        M, order, kept = self.M, self.order, self._unknowns
+        need, there = factor_bytes(M), _physical_memory()
+        if need > 0.6 * there:  # the rest is for mesh, states and Python
+            try:
+                return ConjugateGradients(M, kept)
+            except MissingExtraError as error:
+                raise SolverRefusedError(
+                    f"factors of {self.dim} unknowns would need about {need / 1e9:.3g} GB, this "
+                    f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: "
+                    f"{error}"
+                ) from error
+        if kept is None:
+            return factorised(M, order)
+        M = sp.csc_array(M)
+        order = factorised(M).order if order is None else order
+        return factorised(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)
 
     def forget(self) -> None:
         """Drop the factors; a solve that needs them makes them again."""
@@ -259,32 +275,6 @@ class Elimination(Factor):
     def recover(self, forward: Array, zeta: Array) -> Array:
         """z with M z = r + E^T s and E z = zeta."""
         return self._engine.recover(forward, zeta)
-
-
-def _engine(
-    M: Matrix, order: Array | None = None, kept: Array | None = None
-) -> Cholesky | ConjugateGradients:
-    """What solves with M, and eliminates all unknowns but those that are kept.
-
-    Parameters
-    ----------
-    order : ndarray of int, optional
-        An order of the unknowns with little fill; the kept ones go to its end.
-    """
-    need, there = factor_bytes(M), _physical_memory()
-    if need > 0.6 * there:  # the rest is for mesh, states and Python
-        try:
-            return ConjugateGradients(M, kept)
-        except MissingExtraError as error:
-            raise SolverRefusedError(
-                f"factors of {M.shape[0]} unknowns would need about {need / 1e9:.3g} GB, this "
-                f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: {error}"
-            ) from error
-    if kept is None:
-        return factorised(M, order)
-    M = sp.csc_array(M)
-    order = factorised(M).order if order is None else order
-    return factorised(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)
 
 
 def factor_bytes(M: Matrix) -> float:

@@ -127,7 +127,7 @@ def as_times(t: Any) -> Any:
     """The times as floats; of one number a float, as numpy is slow with one."""
     if type(t) is float and abs(t) <= HUGE:
         return t
-    array = times("t", t)
+    array = times(t)
     return array if array.ndim else array.item()
 
 

@@ -180,17 +180,15 @@ def trials(solver: Solver, programs: Sequence[Program]) -> list[Trial]:
     return results
 
 
-def shifted_mean(seconds: Any, shift: float = 1e-3) -> float:
-    """The shifted geometric mean exp(mean log(x + shift)) - shift.
-
-    What takes no time does not decide it.
+def shifted_mean(seconds: Any) -> float:
+    """The geometric mean, shifted by a millisecond: what takes no time does not decide it.
 
     Examples
     --------
     >>> round(shifted_mean([1e-3, 3e-3]), 6)
     0.001828
     """
-    return float(np.exp(np.log(np.asarray(seconds) + shift).mean()) - shift)
+    return float(np.exp(np.log(np.asarray(seconds) + 1e-3).mean()) - 1e-3)
 
 
 def comparison_text(table: DataFrame) -> str:

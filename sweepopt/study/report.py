@@ -262,7 +262,6 @@ def _study_section(table: DataFrame) -> list[str]:
             table.drop(columns=HIDDEN).assign(message=message),
             "status",
             table.success,
-            "runs",
             "failed",
         ),
     ]
@@ -274,7 +273,7 @@ def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
     good = table.verdict.isin(GOOD)
     return [
         f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",
-        _table(table, "verdict", good, "runs", "wrong"),
+        _table(table, "verdict", good, "wrong"),
     ]
 
 
@@ -316,9 +315,9 @@ def _picture(solutions: Mapping[str, Solution]) -> str:
     return f'<img src="data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
-def _table(table: DataFrame, column: str, good: Series, things: str, fault: str) -> str:
+def _table(table: DataFrame, column: str, good: Series, fault: str) -> str:
     """What is not good comes first, marked in a column; text is escaped by pandas."""
     marked = table[column].where(good, "✗ " + table[column])
     table = table.assign(**{column: marked}).loc[good.sort_values(kind="stable").index]
-    count = f"<p>{len(table)} {things}, {(~good).sum()} {fault}</p>"
+    count = f"<p>{len(table)} runs, {(~good).sum()} {fault}</p>"
     return count + table.to_html(border=0, **FORMAT)
