@@ -26,7 +26,7 @@ from pandas import DataFrame
 from sweepopt.checks import at_path, choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
-from sweepopt.io import as_path, read_toml
+from sweepopt.io import as_path, folder_at, read_toml
 from sweepopt.study.cell import Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES, each, option
 from sweepopt.study.problems import Source, find_source
@@ -217,21 +217,22 @@ def run(
     """
     if not isinstance(study, Study):
         raise InputError(f"study must be a Study, got {shown(study)}; read_study makes one")
-    cells, done = study.runs(), set(read_table(study, folder).run)
-    jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
+    cells = study.runs()
     if executor is not None and any(cell.problem.own for cell in cells):
         raise InputError("executor: processes of one's own are computed here; leave it out")
+    folder = folder_at("folder", as_path("folder", folder))
+    done = set(read_table(study, folder).run)
+    jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
     progress(f"{len(cells)} runs, {len(done)} of them finished before")
-    Path(folder).mkdir(parents=True, exist_ok=True)
     for k, row in enumerate(_compute(jobs, executor), start=1):
-        _append_row(Path(folder, ROWS), row)
+        _append_row(folder / ROWS, row)
         progress(f"{k} of {len(jobs)}: {row.run}: {row.status}")
     return read_table(study, folder)
 
 
 def read_table(study: Study, folder: str | Path) -> DataFrame:
     """The finished runs of a study as a table, whether or not there are more to come."""
-    rows, path = {}, Path(folder, ROWS)
+    rows, path = {}, as_path("folder", folder) / ROWS
     for line in path.read_bytes().splitlines() if path.exists() else ():
         # lines that are cut short or have other columns are no rows
         with suppress(ValueError, TypeError):
