@@ -282,8 +282,10 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     """One of the words that are allowed."""
     words = tuple(allowed)
     if not isinstance(value, str) or value not in words:
-        known, hint = ", ".join(words) or "'' (left out)", suggestion(value, words)
-        raise InputError(f"{name} must be one of {known}; got {shown(value)}{hint}")
+        known = ", ".join(word or "'' (left out)" for word in words)
+        raise InputError(
+            f"{name} must be one of {known}; got {shown(value)}{suggestion(value, words)}"
+        )
     return value
 
 
