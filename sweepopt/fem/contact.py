@@ -161,7 +161,7 @@ class Yield(Brief):
         if self.metric is not None:
             slopes = slopes * np.sqrt(np.linalg.eigvalsh(self.metric)[:, -1])
         E = self.rows.E
-        return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
+        return E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E
 
 
 def _require_bounds(name: str, values: Any) -> None:
@@ -610,8 +610,8 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
-    rubbing = [one for one in scene.yields if one.contact is not None]
-    _, keep, owner = _owners([part for one in rubbing if (part := one.contact)])
+    rubbing: Any = [one for one in scene.yields if one.contact is not None]
+    _, keep, owner = _owners([one.contact for one in rubbing])
     force, sizes, radii = [], [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z

@@ -910,7 +910,7 @@ class OneWay(Record):
         known = [""] if body.components == 1 else list(AXES[: body.components])
         choice("along", self.along, known)
         nodes = np.unique(body.place(self.on).nodes)
-        E = sp.csr_array(body.extension[body.nodes[known.index(self.along), nodes]])
+        E = body.extension[body.nodes[known.index(self.along), nodes]]
         E = E[np.diff(E.indptr) > 0]
         if not E.shape[0]:
             raise InputError(f"on: all of {', '.join(self.on)} is clamped; nothing moves there")

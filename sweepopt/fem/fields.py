@@ -76,7 +76,7 @@ class Profile:
         object.__setattr__(self, "values", values)
 
     def __call__(self, x: Array) -> Array:
-        where = coordinate("along", self.along, np.asarray(x))
+        where = coordinate("along", self.along, x)
         at: Any = self.at
         slack = 1e-9 * np.abs(at).max()
         if where.min() < at[0] - slack or where.max() > at[-1] + slack:
@@ -144,7 +144,7 @@ class Formula:
     def __call__(self, x: Array, t: float = 0.0) -> Any:
         try:
             with np.errstate(all="ignore"):  # what is no finite number is refused by who asks
-                return self._value(self.tree, np.asarray(x, dtype=float), t)
+                return self._value(self.tree, x, t)
         except (TypeError, OverflowError, RecursionError):
             raise self._refusal() from None
 

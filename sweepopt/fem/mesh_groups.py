@@ -66,7 +66,7 @@ def _section(text: str) -> tuple[str, dict[str, str], list[str]]:
 
 def group_entities(raw: meshio.Mesh, content: bytes) -> None:
     """Make sets of the physical groups of a Gmsh 4 file, from the entities that are in each."""
-    names = {tuple(np.ravel(value)): name for name, value in raw.field_data.items()}
+    names = {tuple(value): name for name, value in raw.field_data.items()}
     groups = dict[str, list[np.ndarray]]()
     numbers = raw.cell_data["gmsh:geometrical"]  # one in each block
     places = [(block.dim, *own[:1]) for block, own in zip(raw.cells, numbers, strict=True)]

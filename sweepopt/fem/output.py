@@ -93,8 +93,8 @@ class Report:
         return getattr(self.scene, name)(self.solution, self.solution.t[steps + 1])
 
     @cached_property
-    def slip(self) -> Slip | None:
-        """What the contact does."""
+    def slip(self) -> Any:
+        """What the contact does, a `Slip`; None without friction."""
         return slip_of(self.scene, self.solution)
 
     @cached_property

@@ -128,7 +128,7 @@ def contact(report: Report) -> Any:
     """What the contact does over time: slip zone, displacement, traction over bound, load."""
     from matplotlib.colors import ListedColormap
 
-    slip: Any = report.slip
+    slip = report.slip
     figure, loaded = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
     _, seconds = report.clock
     panels = figure.subplots(3 + loaded, 1, sharex=True)
@@ -161,7 +161,7 @@ def contact(report: Report) -> Any:
 
 def space_time(report: Report) -> Any:
     """The slip rate along the contact, or over x, and time; grey where it sticks."""
-    slip: Any = report.slip
+    slip = report.slip
     figure = new_figure((8.5, 5.0))
     panel = figure.subplots()
     rate = np.ma.masked_equal(slip.velocity, 0.0)
@@ -177,7 +177,7 @@ def space_time(report: Report) -> Any:
 
 def profiles(report: Report) -> Any:
     """Slip and friction along the contact at five even times; the bound of t = 0 is dashed."""
-    slip: Any = report.slip
+    slip = report.slip
     figure = new_figure((8.5, 6.5))
     moved, traction = figure.subplots(2, 1, sharex=True)
     (low, high, name), arc = _slip_range(slip), slip.contact.arc

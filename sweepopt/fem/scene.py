@@ -696,8 +696,7 @@ def _on_all_unknowns(
     for part, own in zip(parts, internal, strict=True):
         E = every[np.r_[:dim, own]]
         A, B = (
-            None if M is None else sp.csc_array(E[: M.shape[0]].T @ M @ E[: M.shape[0]])
-            for M in (part.A, part.B)
+            None if M is None else E[: M.shape[0]].T @ M @ E[: M.shape[0]] for M in (part.A, part.B)
         )
         yields = [
             replace(one, rows=replace(one.rows, E=one.rows.E @ E[: one.rows.E.shape[1]]))

@@ -476,7 +476,7 @@ def names_of(without: Sequence[str]) -> list[str]:
     return [without] if isinstance(without, str) else list(without)
 
 
-def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
+def remaining(labels: list[str], without: Sequence[str]) -> list[str]:
     """Labels of effects without those named: all of a kind (``traction``) or one of it.
 
     Raises
@@ -489,7 +489,7 @@ def remaining(labels: Sequence[str], without: Sequence[str]) -> list[str]:
     >>> remaining(["effects.friction", "effects.traction[0]"], ["traction"])
     ['effects.friction']
     """
-    kept = list(labels)
+    kept = labels
     for name in names_of(without):
         wanted = f"effects.{str(name).removeprefix('effects.')}"
         gone = [one for one in labels if one == wanted or one.startswith(f"{wanted}[")]

@@ -255,7 +255,7 @@ def _in_cells(
 
 def arrows(report: Report, steps: Array) -> Field:
     """Slip arrows in the plane of contact, and the friction traction over its bound, of vectors."""
-    slip: Any = report.slip
+    slip = report.slip
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
     x, speed, use = slip.contact.points[:, plane], slip.speed[steps], slip.use[steps]
     velocity = report.at("velocity", steps)[:, slip.contact.node][..., plane]
@@ -344,7 +344,7 @@ def _mark(report: Report, panel: Any, step: int, points: Array, **look: Any) -> 
 
 def _colours(report: Report, step: int) -> list[str]:
     """Of the nodes with friction, by their states in a step."""
-    slip: Any = report.slip
+    slip = report.slip
     return [STATE_COLOURS[k] for k in slip.state[step].tolist()]
 
 

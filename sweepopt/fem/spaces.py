@@ -293,7 +293,7 @@ class Discretisation(Brief):
     @cached_property
     def extension(self) -> sp.csr_array:
         """All degrees of freedom of `basis`, 0 where they are held, from the unknowns."""
-        return sp.csr_array(self.frame.T[:, self.free])
+        return self.frame.T[:, self.free]
 
     @property
     def dim(self) -> int:
@@ -368,7 +368,7 @@ class Discretisation(Brief):
             )
         if shape != (size, size):
             return self.extension.T @ x
-        restricted = sp.csc_array(self.extension.T @ sp.csc_array(x) @ self.extension)
+        restricted = self.extension.T @ sp.csc_array(x) @ self.extension
         restricted.sort_indices()
         return restricted
 
@@ -415,7 +415,7 @@ class Discretisation(Brief):
         at = np.arange(values[0].size).reshape(*values.shape[2:], -1)
         dofs = basis.element_dofs[:, None, :, None]
         full = sparse_matrix(values, np.moveaxis(at, -1, 0), dofs, (at.size, basis.N))
-        return sp.csr_array(full @ self.extension)
+        return full @ self.extension
 
     def place(self, on: Sequence[str], *, nodal: bool = False, strains: bool = False) -> Place:
         """Where an effect acts: boundaries, subdomains, or all of the body ("body").

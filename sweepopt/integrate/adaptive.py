@@ -134,7 +134,7 @@ def adapt(
         wanted = (
             density * (density / (errors.sum() * goal)) ** (1 / r) if before is not None else 0.0
         )
-        rounding = EPS * (length + float(process.metric.norm(process.u0)))
+        rounding = EPS * (length + process.metric.norm(process.u0))
         if cause := _failure(steps.tol, rounding, wanted, passes):
             return sol, cause
         # two to four times the steps: farther its differences do not say where they are needed

@@ -203,7 +203,7 @@ def _system(factor: Any, matrix_of: str, w: Array) -> Array:
     """The solution of one of CHOLMOD's SYSTEMS."""
     from cvxopt import cholmod, matrix
 
-    x = matrix(np.asarray(w, dtype=float))
+    x = matrix(w)
     cholmod.solve(factor, x, sys=SYSTEMS[matrix_of])
     return np.asarray(x).reshape(w.shape)
 

@@ -46,7 +46,7 @@ def kernel(M: Matrix) -> Matrix:
     rows.eliminate_zeros()
     _, group = csgraph.connected_components(rows, directed=False)
     alone = np.bincount(group)[group] == 1
-    diagonal = np.asarray(M.diagonal(), dtype=float)
+    diagonal = M.diagonal()
     one = sp.eye_array(len(group), format="csc")
     columns.append(one[:, np.flatnonzero(diagonal == 0)])
     for name in np.unique(group[~alone]):
@@ -60,7 +60,7 @@ def kernel(M: Matrix) -> Matrix:
         values, vectors = scipy.linalg.eigh(units[:, None] * dense(rows[some][:, some]) * units)
         vectors = units[:, None] * vectors[:, values <= SEMIDEFINITE]
         columns.append(one[:, some] @ sp.csc_array(vectors / np.linalg.norm(vectors, axis=0)))
-    basis = sp.csc_array(sp.hstack(columns))
+    basis = sp.hstack(columns)
     return basis if sp.issparse(M) else basis.toarray()
 
 
@@ -74,7 +74,7 @@ def largest_ratio(A: Factor, B: Matrix) -> float:
     sums show: then it is what the iteration finds.
     """
     # in a body of few materials the eigenvalue itself
-    least = float((np.asarray(B.diagonal(), dtype=float) / A.diagonal).max())
+    least = float((B.diagonal() / A.diagonal).max())
     if A.is_diagonal and is_diagonal(B):
         short = (least * A.diagonal - B.diagonal()) + product_error(least, A.diagonal)
         return least if (short >= 0).all() else math.nextafter(least, math.inf)
@@ -108,7 +108,7 @@ def dominates(P: Matrix, Q: Matrix, by_factors: bool = True) -> bool:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         M = P - Q
-        diagonal, one = np.asarray(M.diagonal(), dtype=float), np.ones(M.shape[0])
+        diagonal, one = M.diagonal(), np.ones(M.shape[0])
         sums = abs(M) @ one
         rounding = UNIT * (abs(P) @ one + 3 * sums)
         if not (diagonal.min() > SAFE and np.isfinite(rounding).all()):

@@ -72,7 +72,7 @@ class Factor:
         order: Array | None = None,
     ) -> None:
         self.M, self.dim = M, M.shape[0]
-        self.diagonal = np.asarray(M.diagonal(), dtype=float)
+        self.diagonal = M.diagonal()
         if not (self.diagonal > 0).all():
             i = int(np.flatnonzero(self.diagonal <= 0)[0])
             raise IndefiniteError(
@@ -289,7 +289,7 @@ def factor_bytes(M: Matrix) -> float:
     if not sp.issparse(M) or M.nnz <= n:
         return 0.0
     if is_solid(M):
-        return float((40 if has_cholmod() else 120) * 20 * n ** (4 / 3))
+        return (40 if has_cholmod() else 120) * 20 * n ** (4 / 3)
     return 240.0 * n * math.log2(n + 1)
 
 
@@ -302,7 +302,7 @@ def _physical_memory() -> float:
 
 def is_semidefinite(M: Matrix) -> bool:
     """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units."""
-    diagonal = np.asarray(M.diagonal(), dtype=float)
+    diagonal = M.diagonal()
     if (diagonal < 0).any():
         return False
     # a zero on the diagonal of a semidefinite matrix has a zero row

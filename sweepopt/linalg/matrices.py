@@ -52,13 +52,13 @@ def rounding_weights(M: Matrix, root: Array) -> Array:
 
 def row_lengths(G: Matrix) -> Array:
     """The Euclidean length of each row."""
-    return np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
+    return np.sqrt((G * G).sum(axis=1))
 
 
 def is_dominant(M: Matrix) -> bool:
     """Whether no diagonal entry is less than the others of its row: semidefinite (Gershgorin)."""
-    diagonal = np.asarray(M.diagonal(), dtype=float)
-    rest = np.asarray(abs(M).sum(axis=1)).ravel() - np.abs(diagonal)
+    diagonal = M.diagonal()
+    rest = abs(M).sum(axis=1) - np.abs(diagonal)
     return bool((rest <= diagonal).all())
 
 

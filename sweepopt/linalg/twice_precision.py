@@ -46,7 +46,7 @@ class Precise:
         diagonal = M.diagonal()
         self._unit = np.exp2(np.floor(0.5 * np.log2(np.where(diagonal > 0, diagonal, 1.0))))
         weights = sp.diags_array(1 / self._unit)
-        scaled = sp.csr_array(weights @ M @ weights)
+        scaled = weights @ M @ weights
         entries_of_a_row = int(np.diff(scaled.indptr).max())
         self._bits = (53 - math.ceil(math.log2(entries_of_a_row + 1))) // 2
         self.share = SLICES * math.sqrt(len(diagonal)) * 2.0 ** (-self._bits * (SLICES - 1))

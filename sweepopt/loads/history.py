@@ -78,7 +78,7 @@ class History(NoArithmetic):
 
     def _extremes(self, a: float, b: float) -> Array:
         a, b = interval(a, b)
-        return np.asarray(self(np.concatenate([[a], self.turning_points(a, b), [b]])))
+        return self(np.concatenate([[a], self.turning_points(a, b), [b]]))
 
     def breakpoints(self, a: float, b: float) -> Array:
         """Where phi is not smooth, strictly inside (a, b), increasing."""
@@ -228,7 +228,7 @@ class Polynomial(History):
         scaled = self.coefficients * unit ** np.arange(self.coefficients.size)
         slope = np.polynomial.Polynomial(scaled).deriv()
         roots = unit * np.sort(slope.trim(1e-30 * np.abs(slope.coef).max()).roots().real)
-        return np.asarray(roots[(roots > a) & (roots < b)])
+        return roots[(roots > a) & (roots < b)]
 
     def piece(self, a: float, b: float) -> Piece:
         """Itself."""
@@ -263,8 +263,8 @@ class _Periodic(_Formula):
             )
         first = math.floor((a - self.crest) / half)
         k = float(first) + np.arange(math.ceil((b - self.crest) / half) + 1 - first)
-        points = self.crest + k * half
-        return np.asarray(points[(points > a) & (points < b)])
+        points: Any = self.crest + k * half
+        return points[(points > a) & (points < b)]
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]: four amplitudes a period, the rest from crest to trough."""

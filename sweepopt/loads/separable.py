@@ -104,10 +104,10 @@ class Separable(NoArithmetic):
 
     def at_many(self, times: Array) -> Array:
         """The load at many times, shape (len(times), dim)."""
-        return np.asarray(self.values(times) @ self.shapes.T)
+        return self.values(times) @ self.shapes.T
 
     def __call__(self, t: float) -> Array:
-        return np.asarray(self.shapes.dot(self.coefficients(t)))
+        return self.shapes.dot(self.coefficients(t))
 
     def variation(self, a: float, b: float, norm: Callable[[Array], float] | None = None) -> float:
         """Upper bound ``sum_k var(phi_k; a, b) |f_k|`` of the load's variation on [a, b].

@@ -115,7 +115,7 @@ class Table(Brief, History):
         """The table's times strictly inside (a, b)."""
         a, b = interval(a, b)
         first = np.searchsorted(self.times, a, side="right")
-        return self.times[first : np.searchsorted(self.times, b, side="left")]
+        return self.times[first : np.searchsorted(self.times, b)]
 
     def turning_points(self, a: float, b: float) -> Array:
         """Those of its times where an entry turns, or begins or ends to rest."""
@@ -152,14 +152,14 @@ class VectorTable(Table):
 
     def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
         rows = matrix("values", values)
-        t, _ = check_points("times", times, rows[:, 0] if rows.size else rows)
+        t, _ = check_points("times", times, rows[:, 0] if rows.size else ())
         object.__setattr__(self, "times", t)
         object.__setattr__(self, "values", rows)
 
     @property
     def dim(self) -> int:
         """Entries of f(t)."""
-        return int(self.values.shape[1])
+        return self.values.shape[1]
 
     @property
     def terms(self) -> tuple[tuple[Table, Array], ...]:

@@ -110,7 +110,7 @@ class Trajectory:
         """u or u' of the unknowns of the phases at the times t."""
         times = checks.times_inside(t, np.array([self.starts[0], self.end]))
         flat = times.ravel()
-        phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
+        phase_of = np.maximum(np.searchsorted(self.starts, flat) - 1, 0)
         values = np.zeros((flat.size, len(self.phases[0].u.weights)))
         for k, group in groupby(np.argsort(phase_of).tolist(), phase_of.__getitem__):
             inside = list(group)
