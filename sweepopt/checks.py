@@ -250,32 +250,26 @@ def divisor(name: str, value: float) -> None:
         )
 
 
-def count(name: str, value: Any, least: int = 1) -> int:
+def count(name: str, value: Any, least: int = 1, most: float = math.inf, remedy: str = "") -> int:
     """A whole number, positive or at least 0; 100.0 is one."""
     if isinstance(value, (float, np.floating)) and value.is_integer():
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         wanted = "a positive whole number" if least == 1 else f"a whole number >= {least}"
         raise InputError(f"{name} must be {wanted}, got {shown(value)}")
+    if value > most:
+        raise InputError(f"{name} is {shown(value)}, more than {most:.0e}; {remedy}")
     return int(value)
 
 
 def step_count(steps: Any) -> int:
     """A positive whole number of steps."""
-    n = count("steps", steps)
-    if n > LONGEST:
-        raise InputError(f"steps is {shown(n)}, more than {LONGEST:.0e}; run it in parts")
-    return n
+    return count("steps", steps, most=LONGEST, remedy="run it in parts")
 
 
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
-    size = count("dim", dim)
-    if size > LONGEST:
-        raise InputError(
-            f"dim is {shown(size)}, more than {LONGEST:.0e}; its vectors fill the memory"
-        )
-    return size
+    return count("dim", dim, most=LONGEST, remedy="its vectors fill the memory")
 
 
 def choice(name: str, value: Any, allowed: Iterable[str]) -> str:

@@ -400,7 +400,7 @@ def _parts(body: Discretisation, place: Place) -> sp.csr_array:
     """What each node stands for of each facet, and behind these of each cell."""
     mesh, basis = body.mesh, place.basis
     of_cells = mesh.nfacets + np.arange(mesh.nelements)
-    at = basis.find if hasattr(basis, "normals") else of_cells[basis.tind].ravel()
+    at = basis.find if hasattr(basis, "normals") else of_cells[basis.tind]
     nodes = place.nodes.T  # of a lumped body each is its own facet, and all of its cell
     columns, shape = (
         nodes if body.lumped else at[:, None],

@@ -1033,7 +1033,7 @@ def deviators(body: Discretisation, place: Place, lam: Any, mu: Any) -> sp.csr_a
             if body.kind == "plane stress":
                 zz = -lam / (lam + 2 * mu) * (xx + yy)
             rows = [xx - yy, (xx + yy - 2 * zz) / np.sqrt(3), *others]
-        values.append([np.broadcast_to(row / np.sqrt(2), basis.dx.shape) for row in rows])
+        values.append([row / np.sqrt(2) for row in rows])
     return body.rows(basis, values)
 
 

@@ -159,7 +159,7 @@ def cholmod(M: Matrix, order: Array | None, m: int) -> Cholesky:
     def factor_in_order() -> Any:
         """The factor in this order and no other."""
         with _settings(SETTINGS):
-            factor = cholmod.symbolic(lower, matrix(order.astype(np.int64)))
+            factor = cholmod.symbolic(lower, matrix(order))
             cholmod.numeric(lower, factor)
         return factor
 
@@ -225,7 +225,7 @@ def superlu(M: Matrix, order: Array | None, m: int) -> Cholesky:
 
     if not m:
         return Cholesky(pivots[place], solve, order)
-    lower = (lu.L @ sp.diags_array(np.sqrt(np.abs(pivots)))).tocsc()
+    lower = lu.L @ sp.diags_array(np.sqrt(np.abs(pivots)))
     triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
     return Cholesky(
         pivots[place],
