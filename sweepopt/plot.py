@@ -152,8 +152,7 @@ def _panels(solution: Solution, figure: Any) -> Any:
         bounds = [(-C.support(-np.ones(1)), C.support(np.ones(1))) for C in sets]
         bottom, top = panels[2].get_ylim()  # where C(t) has no bound the band ends with the axes
         low, high = np.nan_to_num(np.transpose(bounds), neginf=bottom, posinf=top)
-        look = {"fill": True, "alpha": 0.3, "label": "C(t)"}
-        panels[2].stairs(high, ends, baseline=low, color=STICK, **look)
+        panels[2].stairs(high, ends, baseline=low, color=STICK, fill=True, alpha=0.3, label="C(t)")
     legend_above(panels[2], 2)
     for panel, name in zip(panels, ("u", "u'", "force"), strict=True):
         panel.set(xlabel="t", ylabel=name)

@@ -76,7 +76,7 @@ class Profile:
         object.__setattr__(self, "values", values)
 
     def __call__(self, x: Array) -> Array:
-        where = coordinate("along", self.along, x)
+        where = coordinate("along", self.along, np.asarray(x))
         at: Any = self.at
         slack = 1e-9 * np.abs(at).max()
         if where.min() < at[0] - slack or where.max() > at[-1] + slack:

@@ -286,7 +286,7 @@ def _boundaries(
         own = np.setdiff1d(vertex[np.asarray(members, dtype=int)], -1)
         outer = np.isin(mesh.facets, own).all(axis=0) & (mesh.f2t[1] < 0)
         whole = np.isin(own, mesh.facets[:, outer]).all()  # no node of it lies elsewhere
-        if name not in boundaries and whole:
+        if name not in boundaries and outer.any() and whole:
             boundaries[name] = np.flatnonzero(outer)
     return boundaries
 

@@ -41,8 +41,14 @@ They are those of stresses by the dimension of a bar, a sheet (moduli times thic
 """
 
 
-TIMES = {" yr": 365.25 * 86400.0, " d": 86400.0, " h": 3600.0}
-TIMES |= {" s": 1.0, " ms": 1e-3, " \N{MICRO SIGN}s": 1e-6}
+TIMES = {
+    " yr": 365.25 * 86400.0,
+    " d": 86400.0,
+    " h": 3600.0,
+    " s": 1.0,
+    " ms": 1e-3,
+    " \N{MICRO SIGN}s": 1e-6,
+}
 """Units of time in words and pictures, in seconds."""
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.checks import choice
+from sweepopt.checks import Array, choice
 from sweepopt.errors import InputError
 from sweepopt.fem import snapshots
 from sweepopt.fem.contact import Slip
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from sweepopt.fem.scene import Scene
     from sweepopt.results import Solution
 
-Array = np.ndarray
 AUTOMATIC = ("flow", "displacement", "surface", "stress", "contact")
 """Pictures of a scene that names none: those of them that fit."""
 

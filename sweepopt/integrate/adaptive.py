@@ -60,7 +60,7 @@ def first_grid(steps: Adaptive, process: SweepingProcess, times: Array, scheme: 
     histories = histories_of(process.C)
     known = all(isinstance(history, History) for history in histories)
     period, stable = shortest_period(process), math.inf
-    if scheme.explicit and process.B is not None and process.Lam > 0:
+    if scheme.explicit and process.Lam > 0:
         stable = 1 / process.Lam
     # enough for a second pass to see where errors are; twice as many where nothing is known between
     first = steps.first or (end - begin) / (16 if known else 32)

@@ -222,8 +222,6 @@ def check_stability(
     if scheme.explicit:
         _check_explicit(process, scheme, mu, on_unstable)
         return
-    if process.B is None:
-        return
     moves = any(not isinstance(phi, Constant) for phi in motion(process.C).histories)
     if scheme.euler_steps or not plan.solvers or not (outside or moves):
         return

@@ -8,7 +8,7 @@ below that diagonal matrix, then M is positive definite.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg
@@ -91,9 +91,17 @@ def largest_ratio(A: Factor, B: Matrix) -> float:
 def _estimate(A: Factor, B: Matrix, least: float) -> float:
     """The largest eigenvalue of A^-1 B, or what of it can be seen."""
     inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)
-    how: dict[str, Any] = {"M": A.M, "Minv": inverse, "which": "LA", "v0": lanczos_start(A.dim)}
     try:  # the eigenvalue is as exact as the square of tol
-        largest = spla.eigsh(B, k=1, tol=1e-6, return_eigenvectors=False, **how)[0]
+        largest = spla.eigsh(
+            B,
+            1,
+            A.M,
+            which="LA",
+            v0=lanczos_start(A.dim),
+            tol=1e-6,
+            return_eigenvectors=False,
+            Minv=inverse,
+        )[0]
         return max(float(largest), least)
     except spla.ArpackError:  # it does not converge
         return least

@@ -62,8 +62,10 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
         # labels at 2 and 4 between powers of ten have room in a panel
         ax.xaxis.get_minor_locator().set_params(subs=(2, 4))
     for (panel, label, marker, line, colour, _), rows in places.groupby(LOOK, sort=False):
-        style: Any = {"color": colour, "fillstyle": "full" if line else "none", "label": label}
-        axes[panel].plot(rows.x, rows.y, f"{marker}{line}", **style)
+        fill = "full" if line else "none"
+        axes[panel].plot(
+            rows.x, rows.y, f"{marker}{line}", color=colour, fillstyle=fill, label=label
+        )
     named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
     ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
     return ax.figure.axes[0]
