@@ -25,6 +25,7 @@ from sweepopt.sets.base import (
     NormalPair,
     binary,
     neighbours,
+    once,
 )
 from sweepopt.sets.curves import ball_arcs, products
 from sweepopt.sets.shapes import Box
@@ -311,6 +312,14 @@ def norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.C
     return [cp.SOC(sizes, cp.reshape(p, (sizes.size, block), order="C"), axis=1)]
 
 
+@once
+def _axes(root: Array) -> tuple[Array, Array]:
+    """The semiaxes of { root^T s : |s| <= 1 } that are no rounding, and the rows of axes."""
+    _, semiaxes, axes = np.linalg.svd(root)
+    semiaxes[semiaxes <= RANK * semiaxes[0]] = 0.0
+    return semiaxes, axes
+
+
 class Ellipsoid(ConvexSet):
     """{ w : (w-c)^T shape^-1 (w-c) <= 1 }:  sigma(z) = <c, z> + sqrt(<shape z, z>).
 
@@ -350,8 +359,7 @@ class Ellipsoid(ConvexSet):
         """{ center + radius root^T s : |s| <= 1 }."""
         self.center, self.dim, self.matrix = center, center.size, root
         self.root = radius * root
-        _, semiaxes, axes = np.linalg.svd(root)
-        semiaxes[semiaxes <= RANK * semiaxes[0]] = 0.0
+        semiaxes, axes = _axes(root)
         self._squares, self._axes = np.zeros(self.dim), axes.T
         self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
         self._unit = binary(semiaxes[0])

@@ -171,6 +171,62 @@ def side_by_side(n: int, a: float, b: float) -> sp.csr_array:
     return sp.csr_array(sp.hstack([a * identity(n), b * identity(n)]))
 
 
+class _Entries:
+    """A small matrix by its entries."""
+
+    def __init__(self, M: Matrix) -> None:
+        self.M = M
+        arrays = (M.indptr, M.indices, M.data) if sp.issparse(M) else (M,)
+        self._key = M.shape, *(array.tobytes() for array in arrays)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Entries) and self._key == other._key
+
+
+def once(operation: Callable[..., Any]) -> Callable[..., Any]:
+    """An operation on matrices that is done once for equal small ones, and makes one object.
+
+    Sets that are stated anew at every time have the same matrices; sparse ones of a few entries
+    take 0.1 ms for each operation.
+    """
+    kept = lru_cache(16)(lambda *each: operation(*(one.M for one in each)))
+
+    @wraps(operation)
+    def of(*matrices: Matrix) -> Any:
+        if any(max(M.shape) > DENSE or getattr(M, "format", "csr") != "csr" for M in matrices):
+            return operation(*matrices)
+        return kept(*map(_Entries, matrices))
+
+    return of
+
+
+@once
+def _stacked(*matrices: sp.csr_array) -> sp.csr_array:
+    """One block for each."""
+    return sp.csr_array(sp.block_diag(matrices, format="csr"))
+
+
+@once
+def _product(M: Matrix, E: sp.csr_array) -> sp.csr_array:
+    return sp.csr_array(M if E is identity(E.shape[0]) else sp.csr_array(M) @ E)
+
+
+@once
+def _rows(E: sp.csr_array, F: sp.csr_array) -> Any:
+    """Those of E and of F, dense where that is cheap."""
+    if max(*E.shape, *F.shape) <= DENSE:
+        return np.vstack([dense(E), dense(F)])
+    return sp.csc_array(sp.vstack([E, F]))
+
+
+@once
+def _one_above(E: sp.csr_array, F: sp.csr_array) -> sp.csr_array:
+    return sp.csr_array(sp.vstack([E, F]))
+
+
 class Form(NamedTuple):
     """C = { E s : s in parts[0] x parts[1] x ..., F s = 0 }, E and F sparse.
 
@@ -196,10 +252,7 @@ class Form(NamedTuple):
         """C x D x ...: everything is stacked."""
         if len(forms) == 1:
             return forms[0]
-        E, F = (
-            sp.csr_array(sp.block_diag(Ms, format="csr"))
-            for Ms in ([form.E for form in forms], [form.F for form in forms])
-        )
+        E, F = (_stacked(*Ms) for Ms in zip(*((form.E, form.F) for form in forms), strict=True))
         return cls(E, F, tuple(part for form in forms for part in form.parts))
 
     @classmethod
@@ -229,18 +282,15 @@ class Form(NamedTuple):
     @property
     def rows(self) -> Any:
         """Those of E and of F, dense where that is cheap."""
-        if self.small:
-            return np.vstack([dense(self.E), dense(self.F)])
-        return sp.csc_array(sp.vstack([self.E, self.F]))
+        return _rows(self.E, self.F)
 
     def image(self, M: Any) -> Form:
         """M C."""
-        alone = self.E is identity(self.E.shape[0])
-        return self._replace(E=sp.csr_array(M if alone else sp.csr_array(M) @ self.E))
+        return self._replace(E=_product(M, self.E))
 
     def cut(self, D: Any) -> Form:
         """The w of C with D w = 0."""
-        return self._replace(F=sp.csr_array(sp.vstack([self.F, sp.csr_array(D) @ self.E])))
+        return self._replace(F=_one_above(self.F, _product(D, self.E)))
 
 
 class Algebra(NamedTuple):
@@ -428,8 +478,8 @@ class ConvexSet(Operators, ABC):
 
     # ---- what follows from it -----------------------------------------------------------------
 
-    def copy_for_run(self) -> ConvexSet:
-        """C for one run alone: `start_at` on it is not seen by others."""
+    def copy_for_run(self, before: ConvexSet | None = None) -> ConvexSet:
+        """C for one run alone, after another one: `start_at` on it is not seen by others."""
         return self if self.exact else copy.copy(self)
 
     def _memo(self, v: Array, function: Callable[[Array], Any]) -> Any:

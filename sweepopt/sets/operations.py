@@ -32,6 +32,7 @@ from sweepopt.sets.base import (
     Operators,
     is_vector,
     nested,
+    once,
     placed,
     require_same_dim,
     row_units,
@@ -325,6 +326,13 @@ def images(M: Any) -> Callable[[Any], Any]:
     return partial(_image, M)
 
 
+@once
+def _columns(M: Matrix) -> sp.csc_array:
+    columns = sp.csc_array(M, copy=True)
+    columns.eliminate_zeros()
+    return columns
+
+
 @partial(over_time, linear=True)
 def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     """The image as what it is: a point, polytope, cone or ellipsoid, on few unknowns, or more."""
@@ -333,8 +341,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}{hint}")
     if isinstance(C, Point):
         return Point(M @ C.offsets)
-    columns = sp.csc_array(M, copy=True)
-    columns.eliminate_zeros()
+    columns = _columns(M)
     unknowns, factors = columns.indices, columns.data
     distinct = np.unique(unknowns).size == unknowns.size
     if unknowns.size and (np.diff(columns.indptr) == 1).all():

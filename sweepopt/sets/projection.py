@@ -25,7 +25,7 @@ from scipy.sparse.linalg import splu
 
 from sweepopt.checks import Array
 from sweepopt.linalg import dense, euclidean, row_lengths
-from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, placed
+from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, once, placed
 from sweepopt.sets.shapes import Box
 
 # Of 600 projections on random composed sets (2 to 12 unknowns, three operations, thin and touching
@@ -120,7 +120,7 @@ class InMetric:
     """
 
     def __init__(self, C: ConvexSet, M: Array) -> None:
-        form, self._inverse = C.form(), np.linalg.inv(np.linalg.cholesky(M))
+        form, self._inverse = C.form(), _inverse_root(M)
         self._E = form.E
         self._projector = Projector(form._replace(E=self._inverse @ dense(form.E)))
 
@@ -133,6 +133,12 @@ class InMetric:
         near = self._projector(v, start)
         w = self._E @ near.start.s if near.exact else None
         return self._inverse.T @ (near.w - v), near.start, w
+
+
+@once
+def _inverse_root(M: Array) -> Array:
+    """L^-1 of M = L L^T."""
+    return np.linalg.inv(np.linalg.cholesky(M))
 
 
 class Splitting:
@@ -152,7 +158,7 @@ class Splitting:
         if self.small:
             rows = form.rows / units
             self.E, self.F = rows[: -m or None], rows[len(rows) - m :]
-            self._K, self._reflection, self._multipliers = _maps(rows.tobytes(), m, n)
+            self._K, self._reflection, self._multipliers = _maps(self.E, self.F)
         else:
             scale = sp.diags_array(1 / units)
             self.E, self.F = sp.csr_array(form.E @ scale), sp.csr_array(form.F @ scale)
@@ -301,6 +307,13 @@ class Splitting:
         w, rounding = self.E @ s, ROUNDING * size * self._sums[0]
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
+    def normals(self, p: Array, n: Array) -> tuple[Array, Array]:
+        """E^T p - F^T lam, next to normals n, and the sizes of what is added; in plain units."""
+        E, F = self.E * self.units, self.F * self.units
+        pull = E.T @ p
+        multipliers = self._multipliers @ ((pull - n) / self.units)
+        return pull - F.T @ multipliers, np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers)
+
     def is_tense(self, near: Projection, times: float) -> bool:
         """Whether multipliers of F s = 0 are so many times as large as v - w, as forces on parts.
 
@@ -366,10 +379,10 @@ def _step_length(gradient: Map, y: Array, step: Array, slope: float) -> float:
     return length
 
 
-@lru_cache(16)  # sets that are stated anew at every time have the same matrices
-def _maps(rows: bytes, m: int, n: int) -> tuple[Array, Array, Array]:
-    """K, 2 K - 1 and the multipliers of F^T, from the rows of E and F, F having m of n entries."""
-    E, F = np.split(np.frombuffer(rows).reshape(-1, n), [-m or len(rows)])
+@once
+def _maps(E: Array, F: Array) -> tuple[Array, Array, Array]:
+    """K, 2 K - 1 and the multipliers of F^T."""
+    n = E.shape[1]
     U, sizes, V = np.linalg.svd(F)
     rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
     Z, image = V[rank:].T, E @ V[rank:].T

@@ -99,7 +99,7 @@ class StateVelocity:
         self._mapping: tuple[Inclusion, ReturnMapping] | None = None
         self._cones: Cones | None = None
         self._one = lru_cache(1)(one_unknown)
-        self._copy = lru_cache(1)(ConvexSet.copy_for_run)
+        self._set: tuple[ConvexSet, ConvexSet] | None = None
 
     def __call__(self, u: Array, C: ConvexSet) -> Velocity:
         if u.size == 1 and self._plan.solver == "auto":
@@ -137,7 +137,9 @@ class StateVelocity:
                 )
                 if mapped is not None and mapped.relative <= self._tol:
                     return mapped
-        S = self._copy(S)
+        if self._set is None or self._set[0] is not S:
+            self._set = S, S.copy_for_run(self._set and self._set[1])
+        S = self._set[1]
         of = Instance(q - c, q, c, S, u, few)
         inclusion = self._inclusion(of, few is not EVERY)
         best = self._by_cones(of) if self._plan.cones else unsolved(of)
