@@ -21,6 +21,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Array
 from sweepopt.linalg import dense
+from sweepopt.sets.balls import Ball, features_of_balls
 from sweepopt.sets.base import (
     Blocks,
     ConvexSet,
@@ -121,8 +122,13 @@ class Aligned(ConvexSet):
         return inner if self.v is None else np.concatenate([self.v, inner])
 
     def features(self, p: cp.Expression) -> Features:
-        each = [S.features(x) for S, x in self._split(p if self.factor > 0 else -p)]
-        own = [] if self.v is None else [p]
+        own, p = [] if self.v is None else [p], p if self.factor > 0 else -p
+        dims = {S.dim if isinstance(S, Ball) else 0 for S in self.parts}
+        if self.unknowns is None and len(dims) == 1 and all(dims):
+            # cvxpy takes 20 s for 500 balls one by one
+            y, constraints = features_of_balls(p, *dims)
+            return Features([*own, *y], constraints)
+        each = [S.features(x) for S, x in self._split(p)]
         y, constraints = (list(chain(*lists)) for lists in zip(*each, strict=True))
         return Features(own + y, constraints)
 

@@ -192,6 +192,16 @@ class Ball(Balls):
         return [self]
 
 
+def features_of_balls(p: cp.Expression, dim: int) -> Features:
+    """Of a product of balls in R^dim, one after the other: two expressions, however many."""
+    import cvxpy as cp
+
+    m = p.size // dim
+    sizes = cp.Variable(m)
+    each = cp.hstack([cp.reshape(p, (m, dim), order="C"), cp.reshape(sizes, (m, 1), order="C")])
+    return Features([cp.vec(each, order="C")], norms_below(p, sizes, dim))
+
+
 class SecondOrderCone(ConvexSet):
     """{ w : |w[1:]| <= slope w[0] }: sigma is the indicator of its polar cone.
 
