@@ -526,6 +526,48 @@ def test_the_bound_of_curved_sets_and_of_sets_that_grow_and_shrink_is_close(
     check_close(process, t_end, steps, scheme, 2, 0.99, fine=20 * steps)
 
 
+def cut_while_moving(kind):
+    """Intersections of curved sets that move separately, and what operations make of them."""
+    path = so.VectorTable([0.0, 0.31, 1.0], [[0.0, 0.0], [1.5, 0.8], [0.5, 1.2]])
+    wave = so.Separable([(so.Triangle(1.6, 1.7), [1.0, 0.5]), (so.Triangle(0.2, 0.8), [-0.3, 1.0])])
+    disc = so.Moving(so.Ball([0.1, 0.0], 1.0), wave, so.Table([0.0, 0.23, 2.0], [1.0, 0.8, 1.2]))
+    ellipse = so.Moving(so.image([[1.5, 0.4], [0.0, 0.9]], so.Ball([0.0, 0.0], 1.0)), wave)
+    h = so.Separable(
+        [(so.Constant(), [1.0, 1.0, 0.8]), (so.Triangle(1.6, 1.7), [1.5, -0.75, -0.5])]
+    )
+    return {
+        "by tables": lambda: (
+            so.Moving(so.Ball([0.3, 0.0], 0.8), path)
+            & so.Moving(so.Box([-0.8, -0.6], [0.9, 0.7]), path)
+        ),
+        "with an ellipse": lambda: disc & ellipse,
+        "with rows": lambda: disc & so.Polyhedron([[1.0, 1.0], [-1.0, 0.5], [0.0, -1.0]], h),
+        "an image and a sum": lambda: (
+            so.image([[1.0, 0.2], [0.3, -1.0]], disc & ellipse)
+            + so.Moving(so.Box([-0.2, -0.1], [0.3, 0.2]), path)
+        ),
+    }[kind]()
+
+
+@pytest.mark.parametrize(
+    "kind, A, scheme",
+    [
+        ("by tables", 1.0, "implicit-euler"),
+        ("with an ellipse", 0.0, "sdirk2"),
+        ("with rows", 1.0, "sdirk2"),
+        ("an image and a sum", 1e-3, "implicit-euler"),
+    ],
+)
+def test_sets_that_move_separately_by_straight_data_have_a_guaranteed_bound(kind, A, scheme):
+    C = cut_while_moving(kind)
+    B = np.array([[1.0, 0.3], [0.3, 1.0]])
+    process = so.SweepingProcess(A * np.eye(2), B, C, np.linalg.solve(B, C.at(0.0).project([0, 0])))
+    t = np.union1d(np.linspace(0.0, 0.6, 9), [0.2, 0.23, 0.31, 0.425])  # where the data break
+    sol = so.solve(process, steps=t, scheme=scheme)
+    fine = so.solve(process, steps=divided(t, 8), scheme="implicit-euler" if A == 0 else "sdirk2")
+    close_bound(sol, fine.t, fine.u, 4, 0.9)
+
+
 @pytest.mark.parametrize("A", [0.0, 1.0])
 def test_the_bound_of_a_sum_at_rest_is_that_of_the_histories(A):
     """u = 0 holds at all times, but its points in the summands are straight between nodes."""

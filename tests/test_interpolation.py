@@ -34,7 +34,7 @@ HISTORIES = [
 @pytest.mark.parametrize("steps", [3, 10])
 def test_a_history_is_no_further_from_its_polynomial_than_the_bound(history, steps):
     moving = motion(so.Moving(so.Box(-1, 1), so.Separable([(history, [1.0])])))
-    _, begin, end = smooth_intervals(moving, np.linspace(0, 1, steps + 1))
+    _, begin, end = smooth_intervals(moving.histories, np.linspace(0, 1, steps + 1))
     polynomials = interpolate(moving.center, begin, end)
     parts = np.linspace(0, 1, 401)
     for k, (a, b) in enumerate(zip(begin, end, strict=True)):

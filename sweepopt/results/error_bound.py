@@ -65,9 +65,9 @@ from sweepopt.integrate import (
 )
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
-from sweepopt.problem import ONE, Norms, SweepingProcess, motion
+from sweepopt.problem import ONE, Norms, SweepingProcess, histories_of, motion
 from sweepopt.results.interpolation import CURVES, Nodes, cubic, slopes_of_curves
-from sweepopt.results.residuals import CHUNK, Residuals, residuals
+from sweepopt.results.residuals import CHUNK, Residuals, residuals, unknown
 from sweepopt.velocity import Plan, Velocity
 
 SUM_ROUNDING = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
@@ -80,14 +80,15 @@ error."""
 STIFF = 10
 """If step * lam is larger, the second run takes implicit Euler, else the trapezoidal rule, which at
 10 leaves 2/3 of an error after a step, with the other sign, and beyond it more."""
-WORK = (8, 5)
+WORK = (8, 5, 4)
 """Steps, of one program each, that all second runs together may have for each program of the run:
-for up to SMALL unknowns with exact projections, and for others. One takes 0.5 to 0.9 of the time of
-a program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9 they were 1.02
-times as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up to 1.5 times on
-seven uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than SMALL unknowns
-steps at rest do not count, as one takes a fiftieth of the time of another; for fewer they do:
-without them bounds were up to 1.5 times as loose."""
+for up to SMALL unknowns with exact projections, for others, and for sets that move separately,
+with supports of their own: with 5 these took up to 13 times as long as the run. One takes 0.5 to
+0.9 of the time of a program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9
+they were 1.02 times as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up
+to 1.5 times on seven uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than
+SMALL unknowns steps at rest do not count, as one takes a fiftieth of the time of another; for
+fewer they do: without them bounds were up to 1.5 times as loose."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With 14 programs, which small bodies once had, bounds took 13 times as long as the run
 for 120 unknowns, 11 for 72 and 10 for 7. Of more than LARGE one curve v is tried."""
@@ -163,14 +164,16 @@ def error_bound(
     scheme = SCHEMES["implicit-euler" if stiff else "trapezoid"]
     best = "straight" if stiff else "velocities"
     kind, one_curve, by_points = _methods(process, plan)
-    work = math.ceil(WORK[kind] * _moving(run) * len(plan.scheme.b))
+    data = motion(process.C)
+    separate = not (data.summands or variation or unknown(process.C, data, float(run.t[0])))
+    work = math.ceil(WORK[max(kind, 2 * separate)] * _moving(run) * len(plan.scheme.b))
     tol = min(plan.tol, TOL)
     plan = replace(plan, tol=tol, scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.A.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
-    cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
+    cuts = breakpoints(histories_of(process.C, inside=False), run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     long = np.diff(t) > TIME_SLACK * np.abs(t).max()  # others end at a node but for rounding
     t = t if stiff else divided(t, 1 + long)
@@ -182,7 +185,7 @@ def error_bound(
         moving = _moving(nodes)
         work -= moving
         # of unbounded sets all, as velocities of a cubic may have no support function
-        chosen = [best] if one_curve and largest < math.inf else CURVES
+        chosen = [best] if separate or (one_curve and largest < math.inf) else CURVES
         curves = slopes_of_curves(nodes, slopes, chosen)
         each, reason = residuals(norms, nodes, curves, variation, slopes[1:], members)
         growth = _growth(norms, t, each)

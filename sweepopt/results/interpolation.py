@@ -18,7 +18,7 @@ import numpy as np
 from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError, shown
 from sweepopt.loads import History, VectorTable, breakpoints
-from sweepopt.problem import Motion, SweepingProcess, TimeFunction, applied
+from sweepopt.problem import SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
 GAUSS, WEIGHTS = (np.polynomial.legendre.leggauss(4) + np.array([[1], [0]])) / 2
@@ -56,10 +56,10 @@ class Interpolated(NamedTuple):
     slope_error: Array
 
 
-def smooth_intervals(moving: Motion, t: Array, parts: int = 1) -> Intervals:
+def smooth_intervals(histories: Sequence[Any], t: Array, parts: int = 1) -> Intervals:
     """Equal parts of the steps between the times t, cut at the breakpoints of all histories."""
     equal = np.linspace(t[:-1], t[1:], parts, endpoint=False).ravel()
-    cuts = np.unique(np.concatenate([t, equal, breakpoints(moving.histories, t[0], t[-1])]))
+    cuts = np.unique(np.concatenate([t, equal, breakpoints(histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 

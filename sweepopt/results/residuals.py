@@ -6,7 +6,8 @@ w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and bo
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
 histories; a sum of several S with scales has a curve in each. Where C(t) = { w : G w <= h(t) } is
 data, w is a curve whose Bernstein coefficients are projections on the sets of h's Bernstein
-coefficients, and weak duality bounds sigma. For any other
+coefficients, and weak duality bounds sigma. Where it is made of sets that move separately by
+straight data w is linear between points of C(t), and sigma concave in t. For any other
 C(t) whose variation is known, S is the set at the middle of a part of the step: the distance d of
 w(t) to s(t) is at most the variation on half of the part, and adds 2 |v'| d to the bound of G, so
 that the bound falls as sqrt(d). Otherwise both integrals are sampled, and are no bounds.
@@ -23,8 +24,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import Array
-from sweepopt.errors import EmptySetError
+from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.linalg import NEGLIGIBLE, row_lengths
+from sweepopt.loads import History, VectorTable
 from sweepopt.problem import (
     ONE,
     Motion,
@@ -52,6 +54,7 @@ from sweepopt.sets import (
     Aligned,
     AnySet,
     ConvexSet,
+    MovingSet,
     Polyhedron,
     basis,
     kind_without_certificate,
@@ -126,7 +129,8 @@ class _Model(NamedTuple):
     """C(t) on intervals, where its distance to center(t) + sum of scale(t) S is at most `distance`.
 
     There is one distance for each interval, and of each summand one S for each or for all. Without
-    summands C(t) is known at sampled times only. `members` are points of each S at all nodes but
+    summands C(t) is known at sampled times only, or all that it is made of moves by data that are
+    `straight` on each interval. `members` are points of each S at all nodes but
     the first, if they are known: then s(t) is straight between them, and the first one until there.
     """
 
@@ -135,6 +139,7 @@ class _Model(NamedTuple):
     summands: list[tuple[TimeFunction, list[ConvexSet]]]
     distance: Array
     members: list[Array] | None = None
+    straight: bool = False
 
     def on(self, some: slice, copies: int) -> _Model:
         """The same on some of the intervals, so many times."""
@@ -178,7 +183,7 @@ def residuals(
     for parts in PARTS_OF_ROWS if data.offsets else (1,):
         model, reason = _model(norms, data, nodes, variation, speed, members, parts)
         # coefficients of a polynomial may be offsets of no set on long steps
-        with suppress(EmptySetError):
+        with suppress(EmptySetError, TouchingError):
             return _bounds(norms, nodes, curves, model), reason
     return _bounds(norms, nodes, curves, _on_steps(norms.process, nodes)), NEARLY_EMPTY
 
@@ -202,13 +207,21 @@ def _points_of_several(
     return points_of_sum([S for _, S in data.summands], sizes, outside)
 
 
-def _unknown(C: AnySet, data: Motion) -> str:
-    """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
+def unknown(C: AnySet, data: Motion, t: float) -> str:
+    """What is not known of C(t) between the times of a grid, t one of them; "" if all is."""
     if not data.summands:
-        known = all(hasattr(phi, "variation") for phi in histories_of(C, inside=False))
-        kind = "made of sets that move separately" if known else "a function of time"
-        remedy = "" if known else ", in a scene with a history in the place of t in a formula"
-        return f"C(t) is {kind}: write it as a Moving set{remedy}, or take error_bound(variation=)"
+        if _moves_straight(C) and (S := C.at(t)).certifiable and S.magnitude() < math.inf:
+            return ""
+        if all(hasattr(phi, "variation") for phi in histories_of(C, inside=False)):
+            return (
+                "C(t) is made of sets that move separately: write it as a Moving set, a bounded "
+                "one with histories that are straight between times, such as so.Table, or take "
+                "error_bound(variation=)"
+            )
+        return (
+            "C(t) is a function of time: write it as a Moving set, in a scene with a history in "
+            "the place of t in a formula, or take error_bound(variation=)"
+        )
     parts = [(data.name, (data.offsets or data.center).bounded)]
     summands: Any = data.summands
     for scale, S in summands:
@@ -226,6 +239,16 @@ def _unknown(C: AnySet, data: Motion) -> str:
     return ""
 
 
+def _moves_straight(C: AnySet) -> bool:
+    """Whether C is made of sets that move by data which are straight between breakpoints."""
+    if isinstance(C, MovingSet) and C.operands:
+        return all(map(_moves_straight, C.operands))
+    return all(
+        isinstance(phi, VectorTable) or getattr(type(phi), "piece", None) is History.piece
+        for phi in motion(C).histories
+    )
+
+
 def _model(
     norms: Norms,
     data: Motion,
@@ -239,7 +262,7 @@ def _model(
     process, points = norms.process, None
     if variation is not None and not data.center.bounded:
         data = _with_variation(data, variation)
-    reason = _unknown(process.C, data)
+    reason = unknown(process.C, data, nodes.t[0])
     is_data = all(scale.function is None for scale, _ in data.summands)
     if data.summands and is_data and not (reason and data.offsets):
         if not data.disjoint:
@@ -247,13 +270,17 @@ def _model(
         elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
             points = [(members - data.center.at(nodes.t[1:])) / scale]
         sharp = points is not None or all(S.sharp_gaps for _, S in data.summands)
-        intervals = smooth_intervals(data, nodes.t, parts if sharp else PARTS_OF_STEP)
+        intervals = smooth_intervals(data.histories, nodes.t, parts if sharp else PARTS_OF_STEP)
         summands = [(scale, [S]) for scale, S in data.summands]
         return _Model(data, intervals, summands, np.zeros(len(intervals.step)), points), reason
     model = _on_steps(process, nodes)
+    if variation is None and not reason:
+        intervals = smooth_intervals(histories_of(process.C, inside=False), nodes.t)
+        distance = np.zeros(len(intervals.step))
+        return model._replace(intervals=intervals, distance=distance, straight=True), ""
     if variation is None or norms.weak:  # members in the middle have no int |r'|
-        return model, _unknown(process.C, motion(process.C))
-    intervals = smooth_intervals(model.motion, nodes.t, SETS_OF_STEP)
+        return model, unknown(process.C, motion(process.C), nodes.t[0])
+    intervals = smooth_intervals(model.motion.histories, nodes.t, SETS_OF_STEP)
     middles = 0.5 * (intervals.begin + intervals.end)
     shapes = [process.C.at(t) for t in middles.tolist()]
     halves = np.sort(np.concatenate([nodes.t[:1], middles, intervals.end]))
@@ -321,7 +348,9 @@ def _on_intervals(
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
     moved, errors = np.zeros(len(a)), np.zeros((3, len(a)))
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
-    if not model.summands:
+    if model.straight:
+        w, gaps = _between_points(norms.process.C, a, b, aim, directions)
+    elif not model.summands:
         w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif model.motion.offsets is None:
         w, gaps, moved = np.zeros_like(force), 2 * speed * model.distance, model.distance
@@ -446,6 +475,35 @@ def _within_rows(
     y = basis(2, GAUSS) @ y.reshape(*directions.shape[:2], f.dim)
     gaps = (((basis(3, GAUSS) @ slack) + 2 * error[:, None]) * y).sum(axis=2) @ WEIGHTS
     return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
+
+
+def _between_points(
+    C: AnySet, begin: Array, end: Array, aim: Array, directions: Array
+) -> tuple[Array, Array]:
+    """A curve w near the aim in C(t) at GAUSS, and the mean of a bound of its G.
+
+    Intervals follow each other. What operations make of sets is concave in their centers, scales
+    and offsets: where these are straight chords of points of C are in C(t), and for each Bernstein
+    coefficient p of -v', with weights b >= 0 and int b = 1, int b(t) sigma(C(t), p) is at most
+    sigma(C(s), p), s = int b(t) t (Jensen).
+    """
+    aims, times = TO_BERNSTEIN @ aim, np.append(begin[:1], end).tolist()
+    pairs = zip(times, np.concatenate([aims[:1, 0], aims[:, -1]]), strict=True)
+    points = np.array([C.at(t).project(x) for t, x in pairs])
+    w, gaps = points[:-1, None] + GAUSS[:, None] * np.diff(points, axis=0)[:, None], 0 * begin
+    for i, each in enumerate(directions):
+        rounding = ROUNDING * np.abs(each).max()
+        if np.ptp(each, axis=0).max() <= rounding:
+            each = each[1:2]
+        elif np.abs(each[0] - 2 * each[1] + each[2]).max() <= rounding:
+            each = each[::2]
+        for b, p in zip((WEIGHTS[:, None] * basis(len(each) - 1, GAUSS)).T, each, strict=True):
+            if p.any():
+                near, share = b @ w[i] / b.sum(), b @ GAUSS / b.sum()
+                S = C.at(float(begin[i] + share * (end[i] - begin[i])))
+                sigma = float(S.supports_along(p[None, None], near[None, None])[0, 0])
+                gaps[i] += b.sum() * (max(sigma - p @ near, 0.0) + ROUNDING * abs(sigma))
+    return w, gaps
 
 
 def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[Array]:

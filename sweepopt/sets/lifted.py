@@ -24,7 +24,7 @@ from scipy.sparse.linalg import norm
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.linalg import euclidean
-from sweepopt.sets.aligned import Aligned, product_of
+from sweepopt.sets.aligned import Aligned, product_of, shape_of
 from sweepopt.sets.balls import Ball, Balls
 from sweepopt.sets.base import (
     ROUNDING,
@@ -309,7 +309,7 @@ class Lifted(ConvexSet):
         size = self.magnitude() if self._cut else math.inf
         if not math.isfinite(size):
             return super().supports_along(p, w)
-        begin = basis(w.shape[1] - 1, np.array([0.0, 0.5, 1.0])) @ w
+        begin = basis(w.shape[1] - 1, np.linspace(0.0, 1.0, p.shape[1])) @ w
         lengths = np.linalg.norm(p, axis=2)
         t = AHEAD * size / np.where(lengths > 0, lengths, 1.0)
         far = self.project_rows((begin + t[:, :, None] * p).reshape(-1, self.dim)).reshape(p.shape)
@@ -477,7 +477,10 @@ class Intersection(Lifted):
         return super()._is_empty()
 
     def magnitude(self) -> float:
-        return min(C.magnitude() for C in self.operands)
+        # the 2 dim supports of a polyhedron take longer than a projection
+        quick = [C for C in self.operands if not isinstance(shape_of(C), Polyhedron)]
+        size = min((C.magnitude() for C in quick), default=math.inf)
+        return size if size < math.inf else min(C.magnitude() for C in self.operands)
 
     def polar(self) -> ConvexSet:
         """(C & D)° = closure of C° + D°; projections on a sum are those on its closure."""
