@@ -408,10 +408,8 @@ def test_a_sampled_bound_says_what_is_not_known():
         (so.Moving(box, scale=lambda t: 1.0 + t), r"scale\(t\) is a function"),
         (so.MovingSet(lambda t: box + [t, t]), r"C\(t\) is a function of time: write"),
         (so.MovingSet(lambda t: box) + data.C, r"C\(t\) is a function of time: write"),
-        (
-            rolling & so.Ball([0.0, 0.0], 2.0),
-            r"made of sets that move separately: write",
-        ),
+        (rolling & so.Ball([0.0, 0.0], 2.0), r"made of sets that move separately: write"),
+        (box + data.C, r"made of sets that move separately: write"),
     ):
         sol = so.solve(so.SweepingProcess(data.A, data.B, C, data.u0), t_end=1.0, steps=3)
         with pytest.warns(so.BoundWarning, match=words):

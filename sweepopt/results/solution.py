@@ -456,7 +456,7 @@ class Solution(Displayed):
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
-        Computing it takes 7 times as long as the run (median; up to 16), as it makes
+        Computing it takes 6 times as long as the run (median; up to 12), as it makes
         other runs with more steps where bodies start and stop; a single one where C(t) is not
         data. Steps that were not kept are computed again. MATH.md section 4 says how close
         bounds are.
