@@ -131,8 +131,8 @@ def least_distance(G: Any, slack: Array, rounding: Array) -> Shortest | None:
             small = excess.max() <= 1e-12 * np.abs(slack).max()
             return Shortest(u, active) if small else None
         visited.add(state)
-        rows = _binding(G, slack, rounding, np.union1d(active, violated))
-        u, active = _on(G, slack, rows)
+        rows = np.union1d(active, violated)
+        u, active = _on(G, slack, _binding(G, slack, rounding, rows) if rows.size > 1 else rows)
 
 
 def _binding(G: Any, slack: Array, rounding: Array, rows: Array) -> Array:
