@@ -19,7 +19,6 @@ from sweepopt.integrate.record import Run, Step, StepInfo
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import (
     INDEFINITE,
-    PARTS,
     Velocities,
     compensated_sum,
 )
@@ -118,7 +117,7 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
     best = f"the best certificate{of} is {missed}, tol is {plan.tol:g}"
     if velocity.relative == np.inf:
         best = f"none{of} has an answer with a finite certificate"
-    tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
+    tried = ", and to take it in parts does not help"
     if result.cause:
         tried, likely = "", f"It cannot be taken in parts: {result.cause}"
     elif velocity.solver == INDEFINITE:

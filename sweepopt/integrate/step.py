@@ -26,6 +26,7 @@ from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity, o
 PARTS = (2, 4, 8, 16)  # of a step that missed its tolerance: halved like steps of adaptive grids
 BY_EULER = " (implicit-euler)"  # after the solver of a step that was taken by steps of that
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
+TOUCHING = "none"  # and where rounding hides the projection on C(t)
 Stages = list[Velocity]
 
 
@@ -60,7 +61,7 @@ class Velocities:
         First in the parts between the breakpoints, if there are any. Their matrices, one for each
         length, are not kept. A step that misses its tolerance as a whole is tried in 2, 4, .. equal
         parts, until all of them meet it: A + gamma mu / k B is nearer to A, and C(t) is asked for
-        at other times.
+        at other times. Sets that only touch in halves of the step, too, do so in smaller parts.
         """
         work: Stages = []
         if breakpoints:
@@ -84,6 +85,8 @@ class Velocities:
             mean = self._in_parts(starts, np.full(count, h), u, work)
             if mean is not None:
                 return Step(mean)
+            if whole.solver == work[-1].solver == TOUCHING:
+                break
         return Step(_mean((1.0,), [whole], work), cause)
 
     def _in_parts(self, starts: Array, sizes: Array, u: Array, work: Stages) -> Velocity | None:
@@ -149,7 +152,7 @@ class Velocities:
             try:
                 stages.append(self._stage(mu * weights[-1], t + c * mu, start, C))
             except (TouchingError, IndefiniteError) as error:
-                solver = INDEFINITE if isinstance(error, IndefiniteError) else "none"
+                solver = INDEFINITE if isinstance(error, IndefiniteError) else TOUCHING
                 return [Velocity(np.zeros_like(u), math.inf, math.inf, solver, attempts=1)]
         return stages
 
