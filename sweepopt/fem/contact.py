@@ -161,7 +161,7 @@ class Yield(Brief):
         if self.metric is not None:
             slopes = slopes * np.sqrt(np.linalg.eigvalsh(self.metric)[:, -1])
         E = self.rows.E
-        return E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E
+        return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
 
 
 def _require_bounds(name: str, values: Any) -> None:

@@ -159,7 +159,7 @@ def cholmod(M: Matrix, order: Array | None, m: int) -> Cholesky:
     def factor_in_order() -> Any:
         """The factor in this order and no other."""
         with _settings(SETTINGS):
-            factor = cholmod.symbolic(lower, matrix(order))
+            factor = cholmod.symbolic(lower, matrix(order.astype(np.int64)))
             cholmod.numeric(lower, factor)
         return factor
 
@@ -203,7 +203,7 @@ def _system(factor: Any, matrix_of: str, w: Array) -> Array:
     """The solution of one of CHOLMOD's SYSTEMS."""
     from cvxopt import cholmod, matrix
 
-    x = matrix(w)
+    x = matrix(np.asarray(w, dtype=float))
     cholmod.solve(factor, x, sys=SYSTEMS[matrix_of])
     return np.asarray(x).reshape(w.shape)
 
