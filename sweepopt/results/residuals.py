@@ -355,9 +355,7 @@ def _on_intervals(
     elif model.motion.offsets is None:
         w, gaps, moved = np.zeros_like(force), 2 * speed * model.distance, model.distance
         scales = [interpolate(f, a, b) for f, _ in model.summands]
-        known: list[Any] = [None] * len(scales)
-        if model.members:
-            known = _known_curves(model, scales, begin + share * THIRDS, force, slopes)
+        known = _known_curves(model, scales, begin + share * THIRDS, force, slopes)
         errors = _of_interpolation(center, center.slope_error, sizes)
         for (f, shapes), scale, s in zip(model.summands, scales, known, strict=True):
             # a curve that is moved has no bound of int |r'|
@@ -392,17 +390,19 @@ def _on_intervals(
 
 def _known_curves(
     model: _Model, scales: list[Interpolated], theta: Array, force: Array, slopes: Array
-) -> list[Array]:
-    """A curve in each S through its points at nodes, at the shares theta of the steps.
+) -> list[Any]:
+    """A curve in each S through its points at nodes, at the shares theta of the steps, or None.
 
     They are chords, that of the first step its last point. Then each in turn that has an exact
     projection goes on to the force that the others leave, but not along the mean of v', as G would
     become larger: all the way where v' = 0, where all w have G = 0.
     """
+    if not model.members:
+        return [None] * len(scales)
     curves = []
     n = slopes.mean(axis=1, keepdims=True)
     n /= np.maximum(np.linalg.norm(n, axis=2, keepdims=True), np.finfo(float).tiny)
-    for points in model.members or ():
+    for points in model.members:
         first, last = (points[np.maximum(model.intervals.step - k, 0), None] for k in (1, 0))
         curves.append(first + theta[:, :, None] * (last - first))
     sizes = [TO_BERNSTEIN @ scale.values for scale in scales]
