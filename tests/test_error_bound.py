@@ -402,6 +402,8 @@ def test_a_sampled_bound_says_what_is_not_known():
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     box = SQUARE
     rolling = so.Moving(so.Ball([0.0, 0.0], 2.0), so.Separable([(so.Sine(0.5, 2.0), [1.0, 0.0])]))
+    product = so.Modulated(so.Triangle(1.0, 2.0), so.Table([0.0, 1.0], [0.0, 1.0]))  # not straight
+    swelling = so.Moving(so.Ball([0.0, 0.0], 2.0), so.Separable([(product, [1.0, 0.0])]))
     for C, words in (
         (so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t)), r"h\(t\) is a function"),
         (so.Moving(box, lambda t: [t, 0.0]), r"center\(t\) is a function"),
@@ -409,6 +411,7 @@ def test_a_sampled_bound_says_what_is_not_known():
         (so.MovingSet(lambda t: box + [t, t]), r"C\(t\) is a function of time: write"),
         (so.MovingSet(lambda t: box) + data.C, r"C\(t\) is a function of time: write"),
         (rolling & so.Ball([0.0, 0.0], 2.0), r"made of sets that move separately: write"),
+        (swelling & so.Ball([0.5, 0.0], 2.0), r"made of sets that move separately: write"),
         (box + data.C, r"made of sets that move separately: write"),
     ):
         sol = so.solve(so.SweepingProcess(data.A, data.B, C, data.u0), t_end=1.0, steps=3)

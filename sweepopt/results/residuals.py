@@ -214,9 +214,9 @@ def unknown(C: AnySet, data: Motion, t: float) -> str:
             return ""
         if all(hasattr(phi, "variation") for phi in histories_of(C, inside=False)):
             return (
-                "C(t) is made of sets that move separately: write it as a Moving set, a bounded "
-                "one with histories that are straight between times, such as so.Table, or take "
-                "error_bound(variation=)"
+                "C(t) is made of sets that move separately: write it as a Moving set, or, if it is "
+                "bounded, with histories that are straight between times, such as so.Table, or "
+                "take error_bound(variation=)"
             )
         return (
             "C(t) is a function of time: write it as a Moving set, in a scene with a history in "
@@ -482,10 +482,10 @@ def _between_points(
 ) -> tuple[Array, Array]:
     """A curve w near the aim in C(t) at GAUSS, and the mean of a bound of its G.
 
-    Intervals follow each other. What operations make of sets is concave in their centers, scales
-    and offsets: where these are straight chords of points of C are in C(t), and for each Bernstein
-    coefficient p of -v', with weights b >= 0 and int b = 1, int b(t) sigma(C(t), p) is at most
-    sigma(C(s), p), s = int b(t) t (Jensen).
+    Intervals follow each other. Sums, images, products and intersections are concave in the
+    centers, scales and offsets of their parts, for inclusion: where these are straight chords of
+    points of C are in C(t), and for each Bernstein coefficient p of -v', with weights b >= 0 and
+    int b = 1, int b(t) sigma(C(t), p) is at most sigma(C(s), p), s = int b(t) t (Jensen).
     """
     aims, times = TO_BERNSTEIN @ aim, np.append(begin[:1], end).tolist()
     pairs = zip(times, np.concatenate([aims[:1, 0], aims[:, -1]]), strict=True)

@@ -211,7 +211,9 @@ def _stacked(*matrices: sp.csr_array) -> sp.csr_array:
 
 @once
 def _product(M: Matrix, E: sp.csr_array) -> sp.csr_array:
-    return sp.csr_array(M if E is identity(E.shape[0]) else sp.csr_array(M) @ E)
+    product = sp.csr_array(M if E is identity(E.shape[0]) else sp.csr_array(M) @ E)
+    product.sort_indices()  # in place, which threads that share it must not
+    return product
 
 
 @once

@@ -229,7 +229,8 @@ class Lifted(ConvexSet):
             size = float(np.abs([last.v, last.w, w]).max())
             rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
             return bool(p @ way > distance * np.linalg.norm(p) + rounding)
-        if self._beside is None or not self.lifted.small:
+        rows = any(isinstance(shape_of(C), Polyhedron) for C in self.lifted.parts)  # slow supports
+        if self._beside is None or rows or not self.lifted.small:
             return False
         p = self._beside.v - self._beside.w
         n, sizes = self._beside.splitting.normals(p, self._beside.start.n)
@@ -468,7 +469,7 @@ class Intersection(Lifted):
     def _is_empty(self) -> bool:
         # projections, then reflections, in one set after the other: a common point proves more than
         # a projection on C & D does from afar, which takes 4 ms for two balls and these 0.1
-        v = np.zeros(self.dim)
+        v = self.operands[0].anchor
         for k in range(REFLECTIONS if all(C.exact for C in self.operands) else 0):
             if self._pair_of_one(v) is not None:
                 return False
