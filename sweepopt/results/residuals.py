@@ -501,8 +501,7 @@ def _between_points(
             if p.any():
                 near, share = b @ w[i] / b.sum(), b @ GAUSS / b.sum()
                 S = C.at(float(begin[i] + share * (end[i] - begin[i])))
-                sigma = float(S.supports_along(p[None, None], near[None, None])[0, 0])
-                gaps[i] += b.sum() * (max(sigma - p @ near, 0.0) + ROUNDING * abs(sigma))
+                gaps[i] += b.sum() * _gap(S, p, near)
     return w, gaps
 
 
@@ -563,6 +562,12 @@ def _gaps(S: ConvexSet, p: Array, s: Array, ratios: Array) -> Array:
     return np.column_stack(S.gaps_along_curves(p, s, ratios))
 
 
+def _gap(S: ConvexSet, p: Array, w: Array) -> float:
+    """A bound of sigma(S, p) - <p, w>; of C & D by a projection, as its program takes 17 ms."""
+    sigma = float(S.supports_along(p[None, None], w[None, None])[0, 0])
+    return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
+
+
 def _sampled(
     process: SweepingProcess, times: Array, aim: Array, directions: Array
 ) -> tuple[Array, Array]:
@@ -571,5 +576,5 @@ def _sampled(
     for at in np.ndindex(*times.shape):
         C = process.C.at(float(times[at]))
         w[at] = C.project(aim[at])
-        gaps[at] = C.gap(directions[at], w[at])
+        gaps[at] = _gap(C, directions[at], w[at])
     return w, gaps @ WEIGHTS
