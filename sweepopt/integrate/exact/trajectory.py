@@ -176,9 +176,7 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
         signs += rows.S[:, active] @ V @ dp.weights
     signs.imag[:, 0] = of_load  # what rounds where a slack touches zero
     signs[active] = V @ dp.weights
-    # a slack that stays zero by itself is rounding of its terms; stiff bodies hide others from it
-    slacks = p.with_weights(signs)
-    changing = ~face.redundant | (np.abs(slacks(phi.length)) > 1e-6 * slacks.sizes.max(axis=1))
+    changing = ~face.redundant
     changing[active] = ~rows.equations[active]
     return motion, first_root(p.with_weights(signs[changing]), face.orders[changing])
 
