@@ -125,11 +125,6 @@ class Lifted(ConvexSet):
         inner, rounding = E @ z, 2 * ROUNDING * (sizes @ np.abs(z))
         return np.where(np.abs(inner) <= rounding, 0.0, inner)
 
-    @cached_property
-    def _bounded(self) -> bool:
-        """Whether all parts are: then sigma is finite everywhere."""
-        return math.isfinite(self.part.magnitude())
-
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Lifted)
@@ -263,15 +258,14 @@ class Lifted(ConvexSet):
         p = v - near.w
         if not near.exact:
             return NormalPair(p, near.w.copy(), self.gap(p, near.w), _rounded(v))
-        free = self._cut or self._bounded
-        if not free and np.isinf(self.support(p)):
+        if not self._cut and np.isinf(self.support(p)):
             # the rounding of v has left the domain of sigma, where all p - P_{rC}(p) are
             far = self._projection(REMOTE * p)
             p = (REMOTE * p - far.w) / REMOTE if far.exact else p
         size = np.abs(p).max()
         noise = np.abs(p) <= ROUNDING * (size if size > ROUNDING * np.abs(v).max() else np.inf)
         clean = np.where(noise, 0.0, p)
-        if free or np.isfinite(self.support(clean)):
+        if self._cut or np.isfinite(self.support(clean)):
             p = clean
         return NormalPair(p, near.w.copy(), 0.0)
 
