@@ -46,7 +46,7 @@ def checked(name, seed, schemes=("auto", *SCHEMES)):
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize(
-    "name", sorted({*SHORT} - {"singular", "no_viscosity_outside", "chatter"})[::3]
+    "name", sorted({*SHORT} - {"singular", "indefinite", "no_viscosity_outside", "chatter"})[::3]
 )
 def test_the_exact_trajectory_satisfies_the_inclusion_and_is_what_runs_are_judged_by(
     name,
@@ -126,5 +126,5 @@ def test_what_must_be_refused_is_missed_if_it_is_not(monkeypatch):
     monkeypatch.setitem(TRAJECTORIES, "ordinary", keys)
     (row,) = runs("ordinary", 0, ["midpoint"])
     assert row.verdict == "not refused with IndefiniteError" not in GOOD
-    (row,) = runs("singular", 0, ["midpoint"])
+    (row,) = runs("indefinite", 0, ["midpoint"])
     assert row.verdict == "refused"
