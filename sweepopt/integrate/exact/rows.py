@@ -22,6 +22,9 @@ sigma > 0 is not; a row with neither is undecided and enters the program of the 
     s_k = d_k - N B u_k,    u_k = -N^T y_{k-1} / k .
 
 At A = 0 only rows without slack can be active, S = N B N^T and s_k = (k + 1) d_{k+1}.
+
+Rounding of y_{k-1} enters s_k Lam / k times: of stiff bodies it hides all orders but the first. A
+row that no order decides is not active until its slack is violated by more than rounding.
 """
 
 from collections.abc import Iterator
@@ -243,25 +246,24 @@ class Face(NamedTuple):
         Independent rows that hold with equality, those that always do first.
     orders : ndarray of int, shape (m,)
         How many leading coefficients of a row's multiplier, or of its slack, are zero.
-    redundant : ndarray of bool, shape (m,)
-        Rows whose slack stays zero by itself.
+    undecided : ndarray of bool, shape (m,)
+        Rows whose slack is zero, or hidden by rounding; they are not active.
     """
 
     active: list[int]
     orders: Array
-    redundant: Array
+    undecided: Array
 
 
-def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: bool) -> Face:
+def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, before: set[int]) -> Face:
     """The face just after t.
 
     Parameters
     ----------
     phi : ExponentialSum
         The histories of the rows from t on.
-    stalled : bool
-        Whether the face that was found held for no time: a multiplier of rows that are nearly
-        dependent was rounding. That of S^-1 counts then.
+    before : set of int
+        The rows that are active up to t: until they are decided they move at a rate in rounding.
 
     Raises
     ------
@@ -275,7 +277,6 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: boo
         d, size = next(_taylor(rows, phi, t))
         undecided &= d - NB @ u <= ZERO * (size + np.abs(NB) @ np.abs(u))
         NB, phi = 0 * NB, phi.derivative()
-    # a row that eight orders leave undecided is taken for redundant
     for k, (d, size) in zip(range(9), _taylor(rows, phi, t), strict=False):
         s = d - NB @ u
         noise = ZERO * (size + np.abs(NB) @ np.abs(u)) + rounding
@@ -295,10 +296,8 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: boo
         y = -np.linalg.solve(rows.S[np.ix_(basis, basis)], s[basis])
         values = s + rows.S[:, basis] @ y  # the slack of a row, or its multiplier
         values[basis] = y
-        of_y = noise[basis]
-        if stalled:
-            of_y = np.abs(np.linalg.inv(rows.S[np.ix_(basis, basis)])) @ of_y
-        worst = float(of_y.max(initial=0.0))
+        slow = [row for row in before if undecided[row]]
+        worst = float(noise[basis + slow].max(initial=0.0))
         decided = undecided & (values > noise + worst)
         undecided &= ~decided
         orders[decided] = k
@@ -311,7 +310,7 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, stalled: boo
         if not undecided.any():
             break
         u = -(values[active] @ rows.N[active]) / (k + 1)
-        rounding = worst * rows.Lam / (k + 1) if u.any() else 0.0
+        rounding = worst * rows.Lam / (k + 1) if slow or u.any() else 0.0
     return Face(active, orders, undecided)
 
 

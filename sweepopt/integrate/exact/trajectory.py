@@ -18,7 +18,7 @@ from sweepopt import checks
 from sweepopt.checks import Array
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, first_root, histories
-from sweepopt.integrate.exact.rows import Face, Rows, face_after, modes, rows_of
+from sweepopt.integrate.exact.rows import ZERO, Face, Rows, face_after, modes, rows_of
 from sweepopt.integrate.record import Run, Step
 from sweepopt.linalg import EPS, Factor
 from sweepopt.loads import breakpoints
@@ -27,6 +27,7 @@ from sweepopt.velocity import Plan, Velocity, certify_point
 
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
 PHASES = 100_000  # a minute, with one unknown
+STALL = 20  # phases a row within sqrt(EPS) of the run: there they accumulate too
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,30 +127,32 @@ def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase
     EmptySetError
         If C(t) becomes empty.
     """
-    u, before, switch, left, stalled = u0, None, False, PHASES, False
+    u, before, switch, left = u0, set[int](), False, PHASES
     ends = [start, *breakpoints(rows.histories, start, end).tolist(), end]
     for a, b in pairwise(ends):
         s, pieces = a, [phi.piece(a, b) for phi in rows.histories]
-        left += 1
+        left, mark = left + 1, -math.inf
         while s < b:
             phi = histories(pieces, s, b - s)
-            face = face_after(rows, phi, s, u, stalled)
+            face = face_after(rows, phi, s, u, before)
             motion, length = _motion(rows, phi, u, face)
             active = set(face.active)
-            switch |= before is not None and (active != before or (s == a and bool(active)))
-            again, stalled = stalled, s + length == s and active == before
-            before, following = active, s + length
-            if again and stalled:  # the same face from the same time: its end is rounded to that
-                following, stalled = math.nextafter(s, b), False
-            if b - following <= 32 * EPS * abs(b):
+            switch |= s > start and (active != before or (s == a and bool(active)))
+            following = s + length
+            if following == s and active == before:  # the end of this face is rounded to its start
+                following = math.nextafter(s, b)
+            before = active
+            if b - following <= min(32 * EPS * abs(b), following - s):
                 following = b  # but for rounding
             u = motion(following - s)
             if following > s:
                 yield Phase(s, following, motion, switch)
                 s, switch = following, False
             left -= 1
-            if left < 0:
-                return
+            if left % (STALL * len(rows.N)) == 0:
+                if not left or s - mark <= math.sqrt(EPS) * (end - start):
+                    return
+                mark = s
 
 
 def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[ExponentialSum, float]:
@@ -176,9 +179,11 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
         signs += rows.S[:, active] @ V @ dp.weights
     signs.imag[:, 0] = of_load  # what rounds where a slack touches zero
     signs[active] = V @ dp.weights
-    changing = ~face.redundant
-    changing[active] = ~rows.equations[active]
-    return motion, first_root(p.with_weights(signs[changing]), face.orders[changing])
+    start, sizes = (signs @ force.basis(0.0)).real, np.abs(signs).sum(axis=1)
+    # a slack that rounding hides at the start may fall by that: it switches where it falls further
+    signs[:, 0] += 2 * face.undecided * (np.maximum(-start, 0.0) + ZERO * sizes)
+    watched = ~rows.equations & (sizes > 0)
+    return motion, first_root(p.with_weights(signs[watched]), face.orders[watched])
 
 
 def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, Array], Step | None]:
@@ -222,7 +227,10 @@ def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, A
         if node is None:
             assert run.exact is not None
             run.status = Status.SWITCHING
-            run.cause = f"That was at t = {run.exact.end:g}, after {len(run.exact.phases)} phases."
+            run.cause = (
+                f"step {run.done} from t = {t:g}: switches accumulate at t = {run.exact.end:g}, "
+                f"after {len(run.exact.phases)} phases; use implicit-euler, midpoint or sdirk2"
+            )
             return None
         after, z, phases = node
         end = float(times[run.done + 1])
