@@ -4,8 +4,6 @@ From a process to a solution: options -> grid of times -> plan -> loop over time
 argument is checked before the loop starts.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable

@@ -19,8 +19,6 @@ length across. Other bodies have what is left after integrating across them:
 | lumped, kappa of an edge | N/m | N s/m | N/m, N s/m of a node | N | N, N |
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations

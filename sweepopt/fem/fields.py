@@ -1,7 +1,5 @@
 """Data in space and time: a number, one per group, a profile, a formula, or a Python function."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 from collections.abc import Callable, Mapping

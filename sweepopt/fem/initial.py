@@ -1,7 +1,5 @@
 """Where a body starts: at a displacement that is given in space, or where a run of it has ended."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ Files are read by meshio. What it, scikit-fem or a solver would meet as a singul
 of second order keep their curved edges (`MeshTri2`, isoparametric); tetrahedra have straight ones.
 """
 
-from __future__ import annotations
-
 import io
 import threading
 import warnings

@@ -5,8 +5,6 @@ are not its first and have no name, and entities that a group takes turned round
 from the file.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from itertools import dropwhile

@@ -17,8 +17,6 @@ In plane stress the strain e_zz is an unknown of the points as well, by its dist
 an elastic body, -lam/(lam + 2 G) (e_xx + e_yy).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass

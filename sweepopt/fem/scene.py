@@ -1,7 +1,5 @@
 """From effects to a problem: what a scene declares is assembled, and nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

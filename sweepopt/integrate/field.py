@@ -5,8 +5,6 @@ u' = Phi(t, u) = A^-1 (P_{C(t)}(B u) - B u), P the projection in the A^-1 metric
 Lam, and as smooth in t as C(t); its slope jumps at switching times, where ODE solvers reject steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -14,8 +14,6 @@ Both factorise M = P^T L L^T P with P w = w[order], in an order of their own if 
 dense M there is LAPACK.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

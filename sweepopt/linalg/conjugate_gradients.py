@@ -5,8 +5,6 @@ a symmetric V-cycle of smoothed aggregation (pyamg). Elimination is the same as 
 S = E M^-1 E^T, one solve for each kept unknown, N = S^-1; a step costs two solves.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

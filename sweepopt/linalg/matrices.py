@@ -1,7 +1,5 @@
 """What is asked of any symmetric matrix, dense or sparse."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple

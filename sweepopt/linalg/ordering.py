@@ -10,8 +10,6 @@ tetrahedra, entries of the factor in millions and seconds to factorise it in blo
     18,879       12.6  0.62     7.1   0.27
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ M and z are cut into slices of few bits (Ozaki, Ogita, Oishi, Rump, Numer. Algor
 products of slices are exact in double precision, and their sum is taken with its rounding errors.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``f(t) = sum_k phi_k(t) f_k``: shapes and histories apart."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 import numpy as np
