@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sweepopt.checks import at_path, choice, count, vector
 from sweepopt.display import Brief
@@ -246,7 +246,7 @@ class Contact(Brief):
     unknown: Indices
     node: Indices
     points: Array
-    boundary: NDArray[np.str_]
+    boundary: Array
     arc: Array
     parts: sp.csr_array
     bound: Array
@@ -561,7 +561,7 @@ class Slip:
     use: Array
 
     @cached_property
-    def state(self) -> NDArray[np.int8]:
+    def state(self) -> Array:
         """1, 0 or -1: slips (forward), sticks, slips backward; shape (n, m)."""
         return np.sign(signed_lengths(self.velocity)).astype(np.int8)
 

@@ -26,7 +26,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from skfem import BilinearForm, LinearForm
 from skfem.helpers import div, dot, inner
 
@@ -985,7 +985,7 @@ def _check_compressible(nu: Array) -> None:
         )
 
 
-def _check_elastic(body: Discretisation, E: Array, nu: Array, where: NDArray[np.bool_]) -> None:
+def _check_elastic(body: Discretisation, E: Array, nu: Array, where: Array) -> None:
     """Refuse moduli, at points of strains, that are not those of the scene's elasticity."""
     try:
         laws = [one.lame(body, body.whole) for one in body.effects if hasattr(one, "lame")]

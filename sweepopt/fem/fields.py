@@ -10,11 +10,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import at_path, choice, floats, number
+from sweepopt.checks import Array, at_path, choice, floats, number
 from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.loads import check_points
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 DIRECTIONS: dict[str, Callable[[Array], Array]] = {

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from sweepopt.fem.mesh import sparse_matrix
 
@@ -46,7 +45,7 @@ class Frame(NamedTuple):
     T: sp.csr_array
     basis: Array
     held: Indices
-    normal: NDArray[np.bool_]
+    normal: Array
 
 
 def held_directions(body: Discretisation) -> Iterator[tuple[str, Indices, Array]]:

@@ -19,7 +19,6 @@ import meshio
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from numpy.typing import NDArray
 
 from sweepopt.checks import at_path, bounded, count, listed, number
 from sweepopt.errors import InputError, shown
@@ -308,7 +307,7 @@ def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
     return groups
 
 
-def _refuse_cells(mesh: skfem.Mesh, bad: NDArray[np.bool_], fault: str) -> None:
+def _refuse_cells(mesh: skfem.Mesh, bad: Array, fault: str) -> None:
     if np.any(bad):
         k = np.argmax(bad)
         place = coordinates(mesh.p[:, mesh.t[:, k]].mean(axis=1))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.checks import Array
 from sweepopt.fem.contact import Slip, signed_lengths
 from sweepopt.fem.spaces import boundary_names
 from sweepopt.plot import STICK, even_steps, new_figure, write_animation
@@ -21,7 +22,6 @@ from sweepopt.plot import STICK, even_steps, new_figure, write_animation
 if TYPE_CHECKING:
     from sweepopt.fem.output import Report
 
-Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
 OUT, SIZE = "displacement out of the plane", "magnitude |u| of the displacement"
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}

@@ -13,12 +13,10 @@ from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, entries, meaning, number, times
+from sweepopt.checks import HUGE, TIME_SLACK, Array, entries, meaning, number, times
 from sweepopt.errors import InputError, shown
-
-Array = NDArray[np.float64]
 
 
 class Piece(NamedTuple):
