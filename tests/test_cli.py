@@ -71,7 +71,7 @@ def run(*options, picture="", bar=False, files=True):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sweepopt.fem.pictures.AUTOMATIC", ())  # they take most of the time
         if not files:
-            patch.setattr("sweepopt.fem.output.write_netcdf", Mock())
+            patch.setattr("sweepopt.fem.output.write_dataset", Mock())
             patch.setattr("sweepopt.fem.output.write_vtu", Mock(return_value=[]))
         return cli.main(["run", "ring.toml", "--out", "out", *quiet, *one, *options])
 

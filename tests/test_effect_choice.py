@@ -29,7 +29,7 @@ from sweepopt.fem import (
     read_scene,
 )
 from sweepopt.fem.contact import slip_of
-from sweepopt.fem.output import Report, write_netcdf
+from sweepopt.fem.output import Report, dataset_on_mesh, write_dataset
 from sweepopt.loads import Constant
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -393,7 +393,7 @@ def test_a_scene_starts_where_a_run_of_it_has_ended(source, changes, names, tmp_
     scene = read_scene(source, changes=changes)
     half = scene.solve(t_end=1.0, steps=2, save=tmp_path / "run.nc" if "run.nc" in names else None)
     assert all(half.field(name).u[-1].any() for name in half.process.fields)
-    write_netcdf(Report(scene, half), tmp_path / "solution.nc")
+    write_dataset(dataset_on_mesh(Report(scene, half)), tmp_path / "solution.nc")
     if "kept.nc" in names:
         half.save(tmp_path / "kept.nc")
     for name in names:
@@ -441,7 +441,7 @@ def test_a_run_of_another_scene_is_no_start(tmp_path):
     ):
         scene = read_scene(source, changes=changes)
         run = scene.solve(t_end=1.0, steps=2, save=tmp_path / "run.nc")
-        write_netcdf(Report(scene, run), tmp_path / "solution.nc")
+        write_dataset(dataset_on_mesh(Report(scene, run)), tmp_path / "solution.nc")
         for name, (other, more, words) in zip(
             cycle(("run.nc", "solution.nc")), others, strict=False
         ):

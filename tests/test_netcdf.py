@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 import sweepopt as so
 from sweepopt.fem import Discretisation, Friction, Viscosity, grid
-from sweepopt.fem.output import Report, write_netcdf
+from sweepopt.fem.output import Report, dataset_on_mesh, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def report():
 
 
 def written_to(path, report):
-    write_netcdf(report, path)
+    write_dataset(dataset_on_mesh(report), path)
     with xr.open_dataset(path, engine="h5netcdf") as dataset:
         return dataset.load()
 

@@ -149,7 +149,7 @@ class Report:
 
 def write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
     """Write all files of a run, pictures by their names; what was written, the summary last."""
-    write_netcdf(report, folder / "solution.nc")
+    write_dataset(dataset_on_mesh(report), folder / "solution.nc")
     for path in map(folder.joinpath, drawn):
         if path.suffix != ".png":
             pictures.animate(report, path, path.stem)
@@ -313,11 +313,6 @@ def _of_contact(slip: Slip) -> Variables:
         "traction": (f"step contact{along}", "traction", slip.traction, "friction, against slip"),
         "slip_state": ("step contact", "", slip.state, "1, 0, -1: slips forward, sticks, back"),
     }
-
-
-def write_netcdf(report: Report, path: Path) -> None:
-    """Write `dataset_on_mesh` of a run, compressed and with checksums."""
-    write_dataset(dataset_on_mesh(report), path)
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:

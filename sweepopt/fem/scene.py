@@ -309,15 +309,7 @@ def antiplane(
     effects: Sequence[Effect],
     element: str = "P1",
     refinements: int = 0,
-    u0: ArrayLike | Initial | None = None,
-    t_end: float | None = None,
-    steps: int | None = None,
-    scheme: str = "auto",
-    solver: str = "auto",
-    tol: float = 1e-6,
-    path: str = "auto",
-    units: str = "dimensionless",
-    title: str = "",
+    **settings: Any,
 ) -> Scene:
     """Antiplane shear of a section: u(x, t) is the displacement out of its plane.
 
@@ -332,8 +324,8 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    u0, t_end, steps, scheme, solver, tol, path, units, title
-        As for `body`.
+    settings
+        u0, t_end, steps, scheme, solver, tol, path, units, title: as for `body`.
 
     Returns
     -------
@@ -358,7 +350,7 @@ def antiplane(
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
     space = Discretisation(mesh, clamped, element, refinements)
-    return body(space, effects, u0, t_end, steps, scheme, solver, tol, path, units, title)
+    return body(space, effects, **settings)
 
 
 def body(
