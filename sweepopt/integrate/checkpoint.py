@@ -45,13 +45,13 @@ from sweepopt.io import (
 )
 from sweepopt.loads import History
 from sweepopt.problem import ONE, SweepingProcess, motion
-from sweepopt.sets import ConvexSet, Polyhedron
+from sweepopt.sets import ConvexSet
 
 if TYPE_CHECKING:
     from sweepopt.integrate.options import SolveOptions
     from sweepopt.integrate.record import Run
 
-SCHEMA = 6  # of the file: one more for each change of what it holds
+SCHEMA = 7  # of the file: one more for each change of what it holds
 
 
 @dataclass(frozen=True)
@@ -356,8 +356,7 @@ def fingerprint(process: SweepingProcess, times: Array) -> dict[str, str]:
     data = [*sets, getattr(process.C, "lipschitz", None), *(load.terms for load in loads)]
     values = (phi(t) for phi in moving.histories for t in some)
     C = chain(data, moving.histories, values)
-    A, B = _by_columns(process.A), _by_columns(process.B)
-    parts = {"A": [A], "B": [B], "u0": [process.u0], "C(t)": C}
+    parts = {"A": [process.A], "B": [process.B], "u0": [process.u0], "C(t)": C}
     return {name: _sha256(part) for name, part in parts.items()}
 
 
@@ -377,13 +376,14 @@ def differences(began: Mapping[str, str], process: SweepingProcess, times: Array
 
 def _bytes(value: Any) -> Iterator[bytes]:
     """Those of a nest of sets, loads, arrays and numbers; of another object its type alone."""
+    if sp.issparse(value):
+        value = sp.csc_array(value)
     yield type(value).__name__.encode()
     if isinstance(value, (ConvexSet, History)):
         value = _attributes(value)
     elif sp.issparse(value):
-        matrix = sp.csc_array(value)
-        places = (index.astype(np.int64) for index in (matrix.indices, matrix.indptr))
-        value = [matrix.shape, matrix.data, *places]
+        places = (index.astype(np.int64) for index in (value.indices, value.indptr))
+        value = [value.shape, value.data, *places]
     if isinstance(value, (list, tuple)):
         yield str(len(value)).encode()
         for part in value:
@@ -395,19 +395,12 @@ def _bytes(value: Any) -> Iterator[bytes]:
         yield repr(value).encode()
 
 
-def _by_columns(value: Any) -> Any:
-    """A sparse matrix in the format that is hashed since the first files; all else as it is."""
-    return sp.csc_array(value) if sp.issparse(value) else value
-
-
 def _attributes(value: Any) -> list[Any]:
     """What a set or a load is made of: its public attributes, none that are computed later."""
     kinds = [vars(kind) for kind in type(value).__mro__]
     later = {name for kind in kinds for name in kind if isinstance(kind[name], cached_property)}
     names = sorted(name for name in vars(value).keys() - later if name[0] != "_")
     entries = [*names, *(getattr(value, name) for name in names)]
-    if isinstance(value, Polyhedron):
-        entries = list(map(_by_columns, entries))
     if isinstance(value, ConvexSet) and any(map(callable, entries)):
         # what a function in it does is seen in what it gives
         direction = np.cos(np.arange(value.dim) + 1.0)
