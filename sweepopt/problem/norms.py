@@ -56,19 +56,11 @@ class Norm:
         scale = 1 / math.sqrt(self.beta) if self.beta else math.inf
         with np.errstate(invalid="ignore"):
             rest = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
-        known = np.array(np.broadcast_to(beside, w.shape[:-2]), dtype=float).ravel()
+        counted = rest > LEAST_SHARE * np.broadcast_to(beside, w.shape[:-2]).reshape(-1, 1)
         solved = np.zeros_like(family)
-        if self._factor is not None:
-            for k in np.argsort(-rest, axis=1).T:  # the largest of each family first
-                i = np.flatnonzero(rest[np.arange(len(k)), k] > LEAST_SHARE * known)
-                if not len(i):
-                    break
-                at = i, k[i]
-                solved[at], rest[at] = self._factor.solve_many(family[at]), 0.0
-                squared = (family[at] * solved[at]).sum(axis=1)
-                known[i] = np.maximum(known[i], np.sqrt(np.maximum(squared, 0.0)))
-        counted = np.where((rest == 0)[:, :, None], family, 0.0)
-        products = counted @ np.swapaxes(solved, 1, 2)
+        if self._factor is not None and counted.any():
+            solved[counted], rest[counted] = self._factor.solve_many(family[counted]), 0.0
+        products = np.where((rest == 0)[:, :, None], family, 0.0) @ np.swapaxes(solved, 1, 2)
         shape = w.shape[:-1]
         return Products(products.reshape(*shape, shape[-1]), rest.reshape(shape))
 
@@ -124,7 +116,7 @@ class Products(NamedTuple):
     Attributes
     ----------
     products : ndarray, shape (..., k, k)
-        0 for vectors that are negligible beside a given number or the largest of the family.
+        0 for vectors that are negligible beside a given number.
     rest : ndarray, shape (..., k)
         Bounds of the norms of these, which take no solve; 0 for the others.
     """
