@@ -408,6 +408,10 @@ def test_the_next_halving_is_cheapest_along_the_axis_of_the_least_cost():
     assert set(costs.cheapest) == {"more steps", "a smaller tol", "a finer mesh", ""}
     assert costs["a higher degree"][costs.element == "P2"].isna().all()
     assert np.isnan(last[["more steps", "a finer mesh"]].astype(float)).all()
+    # more steps help at first, but the error of the mesh is more than half
+    table = pd.DataFrame([modelled(k, n, 1e-6) for k in (0, 1) for n in (14, 20, 40, 80)])
+    stuck = halving(table).query("steps == 14 and refinements == 0").iloc[0]
+    assert (stuck["more steps"], stuck.cheapest) == (np.inf, "a finer mesh")
     # the words of the summary name the run and the way
     table = pd.DataFrame([modelled(0, n, 1e-6, e) for n in (10, 80) for e in ("P1", "P2")])
     shown = [line.split() for line in summary(table).splitlines()]

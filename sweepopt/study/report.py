@@ -104,8 +104,9 @@ def halving(table: DataFrame) -> DataFrame:
     -------
     pandas DataFrame
         A row a run, with its columns, one for each axis in `AXES` called "more steps"
-        for example: the factor of the time, inf where the error hardly falls, nan where no next
-        run was measured; and `cheapest`, the axis of the least factor, "" if all are above 100.
+        for example: the factor of the time, inf where the error hardly falls or does not reach half
+        in two runs and more, nan where no next run was measured; and `cheapest`, the axis of the
+        least factor, "" if all are above 100.
     """
     require_columns(table, CellRow._fields)
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
@@ -113,12 +114,15 @@ def halving(table: DataFrame) -> DataFrame:
     for words, (axis, smaller) in AXES.items():
         cells = known.sort_values(axis, ascending=not smaller)
         same = [column for column in SETTINGS if column != axis]
-        following = cells.groupby(same)[["error", "wall"]].shift(-1)
+        runs = cells.groupby(same)[["error", "wall"]]
+        following, least = runs.shift(-1), cells[::-1].groupby(same).error.cummin()
+        # two runs further along are measured, and none there has half the error
+        stuck = (least / cells.error > 0.5) & runs.shift(-2).error.notna()
         fall = np.log(cells.error / following.error)
         # more accurate in less time is possible: times are measured
         rise = np.log(following.wall / cells.wall).clip(lower=0.0)
         # a factor above 2^100 is none
-        factors[words] = np.exp2((rise / fall).where(~(fall <= rise / 100), np.inf))
+        factors[words] = np.exp2((rise / fall).where(~(stuck | (fall <= rise / 100)), np.inf))
     cells = known.assign(**factors)
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
     best = cells[cells.error < 0.9 * faster].sort_values("problem", kind="stable")
