@@ -402,17 +402,17 @@ def test_a_sampled_bound_says_what_is_not_known():
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     box = SQUARE
     rolling = so.Moving(so.Ball([0.0, 0.0], 2.0), so.Separable([(so.Sine(0.5, 2.0), [1.0, 0.0])]))
-    product = so.Modulated(so.Triangle(1.0, 2.0), so.Table([0.0, 1.0], [0.0, 1.0]))  # not straight
-    swelling = so.Moving(so.Ball([0.0, 0.0], 2.0), so.Separable([(product, [1.0, 0.0])]))
+    flat = so.Moving(so.Box([-2.0, 0.0], [2.0, 0.0]), rolling.center)
+    cone = so.Moving(so.SecondOrderCone(2) + [-1.0, 0.0], rolling.center)
     for C, words in (
         (so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t)), r"h\(t\) is a function"),
         (so.Moving(box, lambda t: [t, 0.0]), r"center\(t\) is a function"),
         (so.Moving(box, scale=lambda t: 1.0 + t), r"scale\(t\) is a function"),
         (so.MovingSet(lambda t: box + [t, t]), r"C\(t\) is a function of time: write"),
         (so.MovingSet(lambda t: box) + data.C, r"C\(t\) is a function of time: write"),
-        (rolling & so.Ball([0.0, 0.0], 2.0), r"made of sets that move separately: write"),
-        (swelling & so.Ball([0.5, 0.0], 2.0), r"made of sets that move separately: write"),
-        (box + data.C, r"made of sets that move separately: write"),
+        (rolling & so.MovingSet(lambda t: box), r"C\(t\) is a function of time: write"),
+        (rolling & flat, r"made of is flat"),
+        (cone & so.HalfSpace([1.0, -9.0], 9.0), r"move separately and is unbounded"),
     ):
         sol = so.solve(so.SweepingProcess(data.A, data.B, C, data.u0), t_end=1.0, steps=3)
         with pytest.warns(so.BoundWarning, match=words):
@@ -527,17 +527,26 @@ def test_the_bound_of_curved_sets_and_of_sets_that_grow_and_shrink_is_close(
     check_close(process, t_end, steps, scheme, 2, 0.99, fine=20 * steps)
 
 
-def cut_while_moving(kind):
+def cut_while_moving(kind, smooth):
     """Intersections of curved sets that move separately, and what operations make of them."""
     path = so.VectorTable([0.0, 0.31, 1.0], [[0.0, 0.0], [1.5, 0.8], [0.5, 1.2]])
-    wave = so.Separable([(so.Triangle(1.6, 1.7), [1.0, 0.5]), (so.Triangle(0.2, 0.8), [-0.3, 1.0])])
-    disc = so.Moving(so.Ball([0.1, 0.0], 1.0), wave, so.Table([0.0, 0.23, 2.0], [1.0, 0.8, 1.2]))
+    scale, wave_of = so.Table([0.0, 0.23, 2.0], [1.0, 0.8, 1.2]), so.Triangle
+    if smooth:
+        arcs = (
+            so.Polynomial([0.0, 7.0, -8.0, -3.0, 2.0, 5.0]),
+            so.Modulated(so.Sine(1.0, 3.0), scale),
+        )
+        path = so.Separable([(arcs[0], [1.0, 0.5]), (arcs[1], [-0.1, 0.3])])
+        scale, wave_of = (
+            so.Modulated(so.Sine(0.2, 0.7, 0.3, 1.0), so.Polynomial([1, -0.3])),
+            so.Sine,
+        )
+    wave = so.Separable([(wave_of(1.6, 1.7), [1.0, 0.5]), (wave_of(0.2, 0.8), [-0.3, 1.0])])
+    disc = so.Moving(so.Ball([0.1, 0.0], 1.0), wave, scale)
     ellipse = so.Moving(so.image([[1.5, 0.4], [0.0, 0.9]], so.Ball([0.0, 0.0], 1.0)), wave)
-    h = so.Separable(
-        [(so.Constant(), [1.0, 1.0, 0.8]), (so.Triangle(1.6, 1.7), [1.5, -0.75, -0.5])]
-    )
+    h = so.Separable([(so.Constant(), [1.0, 1.0, 0.8]), (wave_of(1.6, 1.7), [1.5, -0.75, -0.5])])
     return {
-        "by tables": lambda: (
+        "by a path": lambda: (
             so.Moving(so.Ball([0.3, 0.0], 0.8), path)
             & so.Moving(so.Box([-0.8, -0.6], [0.9, 0.7]), path)
         ),
@@ -551,22 +560,52 @@ def cut_while_moving(kind):
 
 
 @pytest.mark.parametrize(
-    "kind, A, scheme",
+    "kind, smooth, A, scheme",
     [
-        ("by tables", 1.0, "implicit-euler"),
-        ("with an ellipse", 0.0, "sdirk2"),
-        ("with rows", 1.0, "sdirk2"),
-        ("an image and a sum", 1e-3, "implicit-euler"),
+        ("by a path", False, 1.0, "implicit-euler"),
+        ("by a path", True, 1.0, "implicit-euler"),
+        ("with an ellipse", True, 0.0, "sdirk2"),
+        ("with rows", True, 1.0, "sdirk2"),
+        ("an image and a sum", False, 1e-3, "implicit-euler"),
     ],
 )
-def test_sets_that_move_separately_by_straight_data_have_a_guaranteed_bound(kind, A, scheme):
-    C = cut_while_moving(kind)
+def test_sets_that_move_separately_have_a_guaranteed_bound(kind, smooth, A, scheme):
+    C = cut_while_moving(kind, smooth)
     B = np.array([[1.0, 0.3], [0.3, 1.0]])
     process = so.SweepingProcess(A * np.eye(2), B, C, np.linalg.solve(B, C.at(0.0).project([0, 0])))
     t = np.union1d(np.linspace(0.0, 0.6, 9), [0.2, 0.23, 0.31, 0.425])  # where the data break
     sol = so.solve(process, steps=t, scheme=scheme)
     fine = so.solve(process, steps=divided(t, 8), scheme="implicit-euler" if A == 0 else "sdirk2")
     close_bound(sol, fine.t, fine.u, 4, 0.9)
+
+
+@pytest.mark.parametrize("A, steps", [(0.0, 12), (1e-2, 30), (1.0, 12)])
+@pytest.mark.parametrize(
+    "first, other",
+    [
+        (so.Sine(1.5, 0.9), so.Sine(1.2, 0.7, 0.4)),
+        (so.Polynomial([0.1, 4.0, -9.0, 4.0, 2.0, -1.0]), so.Sine(0.9, 1.3)),
+    ],
+)
+def test_intervals_stated_as_balls_that_meet_have_a_bound_above_the_exact_error(
+    A, steps, first, other
+):
+    """With rows instead of balls the scheme exact has it in closed form."""
+    both, one = [(first, [1.0])], np.ones(1)
+    sets = [so.Moving(so.Ball([c], r), so.Separable([*both, (other, [s])])) for c, r, s in BALLS]
+    rows = [(so.Constant(), np.ravel([[r + c, r - c] for c, r, _ in BALLS]))]
+    rows += [(first, np.tile([1.0, -1.0], 2)), (other, np.ravel([[s, -s] for *_, s in BALLS]))]
+    C = so.Polyhedron(np.tile([[1.0], [-1.0]], (2, 1)), so.Separable(rows))
+    exact = so.solve(so.SweepingProcess(A, 1.5, C, 0 * one), t_end=1.0, steps=1, scheme="exact")
+    process = so.SweepingProcess(A, 1.5, sets[0] & sets[1], 0 * one)
+    scheme = "sdirk2" if A == 1 else "implicit-euler"
+    sol = so.solve(process, t_end=1.0, steps=steps, scheme=scheme)
+    times = divided(sol.t, 16)
+    close_bound(sol, times, exact.exact(times), 5)
+
+
+BALLS = ((0.2, 1.0, 0.5), (-0.1, 0.9, -0.3))
+"""Centers, radii and how far the second history moves them."""
 
 
 @pytest.mark.parametrize("A", [0.0, 1.0])

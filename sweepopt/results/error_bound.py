@@ -68,6 +68,7 @@ from sweepopt.loads import breakpoints
 from sweepopt.problem import ONE, Norms, SweepingProcess, histories_of, motion
 from sweepopt.results.interpolation import CURVES, Nodes, cubic, slopes_of_curves
 from sweepopt.results.residuals import CHUNK, Residuals, residuals, unknown
+from sweepopt.results.separate import moves_straight
 from sweepopt.velocity import Plan, Velocity
 
 SUM_ROUNDING = 64 * EPS  # bound of the rounding of u_n, relative to |u|_A sqrt(number of steps)
@@ -80,15 +81,16 @@ error."""
 STIFF = 10
 """If step * lam is larger, the second run takes implicit Euler, else the trapezoidal rule, which at
 10 leaves 2/3 of an error after a step, with the other sign, and beyond it more."""
-WORK = (8, 5, 4)
+WORK = (8, 5, 4, 3)
 """Steps, of one program each, that all second runs together may have for each program of the run:
-for up to SMALL unknowns with exact projections, for others, and for sets that move separately,
-with supports of their own: with 5 these took up to 13 times as long as the run. One takes 0.5 to
-0.9 of the time of a program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9
-they were 1.02 times as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up
-to 1.5 times on seven uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than
-SMALL unknowns steps at rest do not count, as one takes a fiftieth of the time of another; for
-fewer they do: without them bounds were up to 1.5 times as loose."""
+for up to SMALL unknowns with exact projections, for others, and for sets that move separately by
+straight and by curved data. With 5 and 4 these took up to 13 times as long as the run, as each step
+has one or two supports, and with curved data a projection. One takes 0.5 to 0.9 of the time of a
+program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9 they were 1.02 times
+as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up to 1.5 times on seven
+uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than SMALL unknowns steps at
+rest do not count, as one takes a fiftieth of the time of another; for fewer they do: without them
+bounds were up to 1.5 times as loose."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With 14 programs, which small bodies once had, bounds took 13 times as long as the run
 for 120 unknowns, 11 for 72 and 10 for 7. Of more than LARGE one curve v is tried."""
@@ -166,9 +168,9 @@ def error_bound(
     kind, one_curve, by_points = _methods(process, plan)
     data = motion(process.C)
     separate = not (data.summands or variation or unknown(process.C, data, float(run.t[0])))
-    work = math.ceil(WORK[max(kind, 2 * separate)] * _moving(run) * len(plan.scheme.b))
-    tol = min(plan.tol, TOL)
-    plan = replace(plan, tol=tol, scheme=scheme, proved=False)
+    kind = 3 - moves_straight(process.C) if separate else kind
+    work = WORK[kind] * _moving(run) * len(plan.scheme.b)
+    plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.A.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
@@ -239,7 +241,7 @@ def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
     large = process.dim > LARGE
     sharp = all(S.sharp_gaps for S in sets)
     exact = moving.disjoint and all(S.exact for S in sets)
-    by_points = len(sets) == 1 and is_data and not exact and plan.reduction is None
+    by_points = plan.reduction is None and len(sets) < 2 and is_data and not (sets and exact)
     cheap = exact and sharp and not plan.cones and process.dim <= SMALL
     one_curve = (large and plan.contact is not None) or plan.cones or not sharp
     return int(not cheap), one_curve, by_points

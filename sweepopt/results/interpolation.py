@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError, shown
-from sweepopt.loads import History, VectorTable, breakpoints
+from sweepopt.loads import History, breakpoints
 from sweepopt.problem import SweepingProcess, TimeFunction, applied
 from sweepopt.sets import basis, to_bernstein
 
@@ -64,6 +64,11 @@ def smooth_intervals(histories: Sequence[Any], t: Array, parts: int = 1) -> Inte
     return Intervals(step, cuts[:-1], cuts[1:])
 
 
+def is_straight(history: Any) -> bool:
+    """Whether a history is straight between its breakpoints."""
+    return getattr(type(history), "piece", None) is History.piece
+
+
 def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
     """Interpolate on intervals between breakpoints; on those that are there again only once."""
     begin, first, again = np.unique(begin, return_index=True, return_inverse=True)
@@ -72,8 +77,8 @@ def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
     values = f.at((begin[:, None] + h[:, None] * GAUSS).ravel()).reshape(m, 4, f.dim)
     errors = np.zeros((m, len(f.histories), 2))
     for k, history in enumerate(f.histories):
-        if isinstance(history, VectorTable):
-            continue  # straight between its breakpoints
+        if is_straight(history):
+            continue
         if hasattr(history, "piece"):
             # |(phi - p)^(k)| <= max |omega^(k)| max |phi^(4)| / 4!, omega = prod (x - x_g), for
             # k = 0 and 1 (Shadrin, J. Approx. Theory 80, 1995); omega is a multiple of Legendre's
@@ -133,8 +138,8 @@ def _derivative(history: Any, order: int, begin: Array, end: Array) -> Array:
             of_both = _derivative(f, k, begin, end) * _derivative(g, order - k, begin, end)
             bounds += math.comb(order, k) * of_both
         return bounds
-    if order > 1 and getattr(type(history), "piece", None) is History.piece:
-        return bounds  # straight
+    if order > 1 and is_straight(history):
+        return bounds
     points = breakpoints([history], begin[0], end[-1])
     for some in np.split(np.arange(len(begin)), np.searchsorted(begin, points)):
         if some.size:

@@ -6,8 +6,8 @@ w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and bo
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
 histories; a sum of several S with scales has a curve in each. Where C(t) = { w : G w <= h(t) } is
 data, w is a curve whose Bernstein coefficients are projections on the sets of h's Bernstein
-coefficients, and weak duality bounds sigma. Where it is made of sets that move separately by
-straight data w is linear between points of C(t), and sigma concave in t. For any other
+coefficients, and weak duality bounds sigma. Where it is made of sets that move separately w is a
+parabola, as these sets are concave in their data (`separate`). For any other
 C(t) whose variation is known, S is the set at the middle of a part of the step: the distance d of
 w(t) to s(t) is at most the variation on half of the part, and adds 2 |v'| d to the bound of G, so
 that the bound falls as sqrt(d). Otherwise both integrals are sampled, and are no bounds.
@@ -26,7 +26,6 @@ import numpy as np
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.linalg import NEGLIGIBLE, row_lengths
-from sweepopt.loads import History, VectorTable
 from sweepopt.problem import (
     ONE,
     Motion,
@@ -49,6 +48,7 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
+from sweepopt.results.separate import HALVES, HALVES_TO_BERNSTEIN, gap, has_curves, within_separate
 from sweepopt.sets import (
     ROUNDING,
     Aligned,
@@ -59,11 +59,8 @@ from sweepopt.sets import (
     basis,
     kind_without_certificate,
     points_of_sum,
-    to_bernstein,
 )
 
-HALVES = np.array([0.0, 0.5, 1.0])
-HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
 THIRDS = np.arange(4) / 3
 
 LOBATTO = np.stack([1 - GAUSS, GAUSS, GAUSS * (1 - GAUSS), GAUSS * (1 - GAUSS)], axis=1)
@@ -129,9 +126,10 @@ class _Model(NamedTuple):
     """C(t) on intervals, where its distance to center(t) + sum of scale(t) S is at most `distance`.
 
     There is one distance for each interval, and of each summand one S for each or for all. Without
-    summands C(t) is known at sampled times only, or all that it is made of moves by data that are
-    `straight` on each interval. `members` are points of each S at all nodes but
-    the first, if they are known: then s(t) is straight between them, and the first one until there.
+    summands C(t) is known at sampled times only, or, if `points` are given, made of sets that move
+    separately; these are points of C(t) at some nodes. `members` are points of each S at all nodes
+    but the first, if they are known: then s(t) is straight between them, and the first one until
+    there.
     """
 
     motion: Motion
@@ -139,7 +137,7 @@ class _Model(NamedTuple):
     summands: list[tuple[TimeFunction, list[ConvexSet]]]
     distance: Array
     members: list[Array] | None = None
-    straight: bool = False
+    points: dict[float, Array] | None = None
 
     def on(self, some: slice, copies: int) -> _Model:
         """The same on some of the intervals, so many times."""
@@ -209,15 +207,18 @@ def _points_of_several(
 
 def unknown(C: AnySet, data: Motion, t: float) -> str:
     """What is not known of C(t) between the times of a grid, t one of them; "" if all is."""
-    if not data.summands:
-        if _moves_straight(C) and (S := C.at(t)).certifiable and S.magnitude() < math.inf:
-            return ""
-        if all(hasattr(phi, "variation") for phi in histories_of(C, inside=False)):
-            return (
-                "C(t) is made of sets that move separately: write it as a Moving set, or, if it is "
-                "bounded, with histories that are straight between times, such as so.Table, or "
-                "take error_bound(variation=)"
+    if isinstance(C, MovingSet) and C.operands and not data.summands:
+        reason = next(filter(None, (unknown(S, motion(S), t) for S in C.moving_parts)), "")
+        S, ask = C.at(t), "write it as a Moving set, or take error_bound(variation=)"
+        if reason or not (S.certifiable and S.magnitude() < math.inf):
+            return reason or f"C(t) is made of sets that move separately and is unbounded: {ask}"
+        if not all(map(has_curves, C.moving_parts)):
+            reason = (
+                "a set that C(t) is made of is flat, jumps, or moves by a function of which only a "
+                f"variation is known: give it so.Table histories, {ask}"
             )
+        return reason
+    if not data.summands:
         return (
             "C(t) is a function of time: write it as a Moving set, in a scene with a history in "
             "the place of t in a formula, or take error_bound(variation=)"
@@ -237,16 +238,6 @@ def unknown(C: AnySet, data: Motion, t: float) -> str:
                 "so.Table, in a scene by a history, or take error_bound(variation=)"
             )
     return ""
-
-
-def _moves_straight(C: AnySet) -> bool:
-    """Whether C is made of sets that move by data which are straight between breakpoints."""
-    if isinstance(C, MovingSet) and C.operands:
-        return all(map(_moves_straight, C.operands))
-    return all(
-        isinstance(phi, VectorTable) or getattr(type(phi), "piece", None) is History.piece
-        for phi in motion(C).histories
-    )
 
 
 def _model(
@@ -274,11 +265,10 @@ def _model(
         summands = [(scale, [S]) for scale, S in data.summands]
         return _Model(data, intervals, summands, np.zeros(len(intervals.step)), points), reason
     model = _on_steps(process, nodes)
-    if variation is None and not reason:
-        intervals = smooth_intervals(histories_of(process.C, inside=False), nodes.t)
-        distance = np.zeros(len(intervals.step))
-        return model._replace(intervals=intervals, distance=distance, straight=True), ""
     if variation is None or norms.weak:  # members in the middle have no int |r'|
+        if variation is None and not reason:
+            known = zip(nodes.t[1:].tolist(), [] if members is None else members, strict=False)
+            model = model._replace(points=dict(known))
         return model, unknown(process.C, motion(process.C), nodes.t[0])
     intervals = smooth_intervals(model.motion.histories, nodes.t, SETS_OF_STEP)
     middles = 0.5 * (intervals.begin + intervals.end)
@@ -291,9 +281,9 @@ def _model(
 
 def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
     """That of a C(t) of which nothing is known between samples."""
-    n = len(nodes.velocity)
-    steps = Intervals(np.arange(n), nodes.t[:-1], nodes.t[1:])
-    return _Model(Motion((), TimeFunction((), process.dim)), steps, [], np.zeros(n))
+    steps = smooth_intervals(histories_of(process.C, inside=False), nodes.t)
+    distance = np.zeros(len(steps.step))
+    return _Model(Motion((), TimeFunction((), process.dim)), steps, [], distance)
 
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion:
@@ -348,8 +338,8 @@ def _on_intervals(
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
     moved, errors = np.zeros(len(a)), np.zeros((3, len(a)))
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
-    if model.straight:
-        w, gaps = _between_points(norms.process.C, a, b, aim, directions)
+    if model.points is not None:
+        w, gaps = within_separate(norms.process.C, a, b, aim, directions, model.points)
     elif not model.summands:
         w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
     elif model.motion.offsets is None:
@@ -477,34 +467,6 @@ def _within_rows(
     return basis(3, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
 
 
-def _between_points(
-    C: AnySet, begin: Array, end: Array, aim: Array, directions: Array
-) -> tuple[Array, Array]:
-    """A curve w near the aim in C(t) at GAUSS, and the mean of a bound of its G.
-
-    Intervals follow each other. Sums, images, products and intersections are concave in the
-    centers, scales and offsets of their parts, for inclusion: where these are straight chords of
-    points of C are in C(t), and for each Bernstein coefficient p of -v', with weights b >= 0 and
-    int b = 1, int b(t) sigma(C(t), p) is at most sigma(C(s), p), s = int b(t) t (Jensen).
-    """
-    aims, times = TO_BERNSTEIN @ aim, np.append(begin[:1], end).tolist()
-    pairs = zip(times, np.concatenate([aims[:1, 0], aims[:, -1]]), strict=True)
-    points = np.array([C.at(t).project(x) for t, x in pairs])
-    w, gaps = points[:-1, None] + GAUSS[:, None] * np.diff(points, axis=0)[:, None], 0 * begin
-    for i, each in enumerate(directions):
-        rounding = ROUNDING * np.abs(each).max()
-        if np.ptp(each, axis=0).max() <= rounding:
-            each = each[1:2]
-        elif np.abs(each[0] - 2 * each[1] + each[2]).max() <= rounding:
-            each = each[::2]
-        for b, p in zip((WEIGHTS[:, None] * basis(len(each) - 1, GAUSS)).T, each, strict=True):
-            if p.any():
-                near, share = b @ w[i] / b.sum(), b @ GAUSS / b.sum()
-                S = C.at(float(begin[i] + share * (end[i] - begin[i])))
-                gaps[i] += b.sum() * _gap(S, p, near)
-    return w, gaps
-
-
 def _sizes_of_terms(norms: Norms, center: TimeFunction) -> list[Array]:
     """The vectors of a center(t) in both dual norms; what a function varies is Euclidean."""
     both = norms.A, norms.B
@@ -562,12 +524,6 @@ def _gaps(S: ConvexSet, p: Array, s: Array, ratios: Array) -> Array:
     return np.column_stack(S.gaps_along_curves(p, s, ratios))
 
 
-def _gap(S: ConvexSet, p: Array, w: Array) -> float:
-    """A bound of sigma(S, p) - <p, w>; of C & D by a projection, as its program takes 17 ms."""
-    sigma = float(S.supports_along(p[None, None], w[None, None])[0, 0])
-    return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
-
-
 def _sampled(
     process: SweepingProcess, times: Array, aim: Array, directions: Array
 ) -> tuple[Array, Array]:
@@ -576,5 +532,5 @@ def _sampled(
     for at in np.ndindex(*times.shape):
         C = process.C.at(float(times[at]))
         w[at] = C.project(aim[at])
-        gaps[at] = _gap(C, directions[at], w[at])
+        gaps[at] = gap(C, directions[at], w[at])
     return w, gaps @ WEIGHTS

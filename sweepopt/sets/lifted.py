@@ -61,6 +61,12 @@ REFLECTIONS = 10  # in each of two sets: they end in 199 of 211 random C & D, ma
 AHEAD = 1e3  # times the size of C & D: how far along p the point is that is projected
 
 
+@once
+def _size(E: sp.csr_array) -> float:
+    """A bound of the spectral norm."""
+    return float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E)))
+
+
 class Lifted(ConvexSet):
     """{ E s : s in S, F s = 0 }, S the product of exact parts; the operands are what made it."""
 
@@ -148,10 +154,7 @@ class Lifted(ConvexSet):
     @property
     def _norms(self) -> list[tuple[ConvexSet, float]]:
         """The parts, each with a bound of |E_i|."""
-        blocks = [(part, self.lifted.E[:, at]) for part, at in placed(self.lifted.parts)]
-        return [
-            (part, float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E)))) for part, E in blocks
-        ]
+        return [(part, _size(self.lifted.E[:, at])) for part, at in placed(self.lifted.parts)]
 
     @cached_property
     def shift_sizes(self) -> Array:

@@ -113,6 +113,19 @@ class MovingSet(Operators):
         """C(t) at each of the times; data are evaluated at all of them at once."""
         return [self.at(t) for t in times.tolist()]
 
+    @property
+    def moving_parts(self) -> list[MovingSet]:
+        """The sets that operations made it of and that move by data of their own, or itself."""
+        if type(self) is not MovingSet or not self.operands:
+            return [self]
+        return [part for C in self.operands for part in C.moving_parts]
+
+    def member(self, at: float | dict[MovingSet, ConvexSet]) -> ConvexSet:
+        """C(t), or what the operations make of sets that are given for each of the parts."""
+        if isinstance(at, dict):
+            return at[self] if self in at else self._at(at)
+        return self.at(at)
+
     def members(self, times: Array) -> list[tuple[float, ConvexSet]]:
         """Look at every C(t), and keep one of each run that differs in the offsets only.
 

@@ -83,9 +83,10 @@ def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[.
     return on_all
 
 
-def _operation_at(operation: Callable[..., Any], operands: list[Any], t: float) -> ConvexSet:
-    """What an operation makes of its operands at a time."""
-    made: ConvexSet = operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
+def _operation_at(operation: Callable[..., Any], operands: list[Any], at: Any) -> ConvexSet:
+    """What an operation makes of its operands at a time, or of sets given for their parts."""
+    each = (x.member(at) if isinstance(x, MovingSet) else x for x in operands)
+    made: ConvexSet = operation(*each)
     return made
 
 

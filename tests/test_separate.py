@@ -1,0 +1,37 @@
+"""Curves in sets that move separately by smooth data, on intervals of a quarter of a period."""
+
+import numpy as np
+import pytest
+
+import sweepopt as so
+from sweepopt.results.interpolation import GAUSS, TO_BERNSTEIN
+from sweepopt.results.separate import within_separate
+from sweepopt.sets import basis
+
+WAVE, ARC = so.Sine(0.6, 0.8), so.Polynomial([0.0, 1.5, -2.0, 0.0, 3.0, -2.0])
+SCALE = so.Modulated(so.Sine(0.2, 0.9, offset=1.0), so.Polynomial([1.0, -0.2, 0.1]))
+DISC = so.Moving(so.Ball([0.3, 0.0], 1.0), so.Separable([(WAVE, [1.0, 0.5])]), SCALE)
+ELLIPSE = so.Moving(
+    so.image([[1.4, 0.3], [0.0, 0.9]], so.Ball([0.0, 0.0], 1.0)), so.Separable([(ARC, [0.4, 1.0])])
+)
+H = so.Separable([(so.Constant(), [0.9, 0.8, 1.0]), (WAVE, [1.0, -0.4, 0.1])])
+ROWS = so.Polyhedron([[1.0, 0.2], [-1.0, 0.5], [0.0, -1.0]], H)
+
+
+@pytest.mark.parametrize("C", [DISC & ELLIPSE, so.image([[1.0, 0.3], [0.2, -1.0]], DISC & ROWS)])
+def test_curves_are_in_sets_that_move_separately_and_bounds_of_gaps_are_not_below_them(C):
+    random = np.random.default_rng(3)
+    times = np.linspace(0.0, 0.6, 4)
+    directions = random.normal(size=(3, 1, 2)) + 0.3 * random.normal(size=(3, 3, 2))
+    aim = 4 * basis(2, GAUSS) @ directions
+    w, gaps = within_separate(C, times[:-1], times[1:], aim, directions, {})
+    x, weights = (np.polynomial.legendre.leggauss(4) + np.array([[1], [0]])) / 2
+    w, p = basis(3, x) @ TO_BERNSTEIN @ w, basis(2, x) @ directions
+    outside, each = np.zeros(w.shape[:2]), np.zeros(w.shape[:2])
+    for i, k in np.ndindex(outside.shape):
+        S = C.at(times[i] + x[k] * (times[i + 1] - times[i]))
+        outside[i, k] = np.linalg.norm(S.project(w[i, k]) - w[i, k])
+        each[i, k] = S.support(p[i, k]) - p[i, k] @ w[i, k]
+    assert outside.max() < 1e-9
+    assert (gaps >= each @ weights).all()
+    assert np.mean(gaps) < 3 * np.mean(each @ weights)
