@@ -90,8 +90,8 @@ class Brief:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set once: what was computed of a value would not follow another one."""
-        ours = type(self).__module__.partition(".")[0] == __package__
-        if ours and name in vars(self) and name[0] != "_":
+        again = name in vars(self) and name[0] != "_"
+        if again and type(self).__module__.partition(".")[0] == __package__:
             kind = type(self).__name__
             raise InputError(f"{name} of {kind} cannot be changed; make a new {kind} with it")
         super().__setattr__(name, value)

@@ -163,12 +163,16 @@ class Ball(Balls):
     def __init__(self, center: Any, radius: float) -> None:
         center = entries("center", center)
         self.radius = number("radius", radius, minimum=0.0)
-        super().__init__([self.radius], center.size)
-        vars(self).update(center=center, offsets=np.append(center, self.radius))
+        n = center.size
+        own = {"center": center, "radii": np.array([self.radius]), "dim": n, "block": n}
+        vars(self).update(own, offsets=np.append(center, self.radius), polyhedral=n == 1)
 
     def features(self, p: cp.Expression) -> Features:
         sizes, constraints = super().features(p)
         return Features([p, *sizes], constraints)
+
+    def support(self, z: Array) -> float:
+        return float(z.dot(self.center) + self.radius * math.sqrt(z.dot(z)))
 
     def project(self, w: Array) -> Array:
         # as `project_rows`, in a tenth of the time: composed sets ask it ten times a step
@@ -408,7 +412,7 @@ class Ellipsoid(ConvexSet):
 
         1 / |x(lam)| is concave and grows, so that Newton's method from lam = 0 rises to the root
         and never passes it, whatever the e_i (J. More, D. Sorensen, Computing a trust region step,
-        SIAM J. Sci. Stat. Comput. 4(3), 1983).
+        SIAM J. Sci. Stat. Comput. 4(3), 1983). Its error is then 3/2 step^2 / lam at most.
         """
         real = self._squares > 0
         e, lam = self._squares[real], 0.0
@@ -416,7 +420,7 @@ class Ellipsoid(ConvexSet):
         if a @ a <= 1:
             return 0.0
         step = np.inf
-        while step > 1e-15 * lam:
+        while step > 1e-8 * lam:
             falling = 1 + lam / e
             x = a / falling
             square = float(x @ x)

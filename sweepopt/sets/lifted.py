@@ -127,7 +127,7 @@ class Lifted(ConvexSet):
 
     def _seen(self, z: Array) -> Array:
         """E^T z; an entry that is nothing but rounding is 0, so that it meets the domain of S."""
-        E, sizes = _transposed(self.lifted.E)
+        E, sizes, _ = _transposed(self.lifted.E)
         inner, rounding = E @ z, 2 * ROUNDING * (sizes @ np.abs(z))
         return np.where(np.abs(inner) <= rounding, 0.0, inner)
 
@@ -158,7 +158,7 @@ class Lifted(ConvexSet):
 
     @cached_property
     def shift_sizes(self) -> Array:
-        return np.asarray(self.part.shift_sizes @ _transposed(self.lifted.E)[1])
+        return np.asarray(_transposed(self.lifted.E)[2] @ self.part.shift_sizes)
 
     # ---- projection -----------------------------------------------------------------------------
 
@@ -392,10 +392,10 @@ class Lifted(ConvexSet):
 
 
 @once
-def _transposed(E: sp.csr_array) -> tuple[sp.csr_array, sp.csr_array]:
-    """E^T, and its absolute values."""
+def _transposed(E: sp.csr_array) -> tuple[sp.csr_array, sp.csr_array, sp.csr_array]:
+    """E^T, its absolute values, and those of E."""
     transposed = sp.csr_array(E.T)
-    return transposed, abs(transposed)
+    return transposed, abs(transposed), abs(E)
 
 
 @once

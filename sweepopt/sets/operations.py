@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import HUGE, Matrix, matrix, number, vector
+from sweepopt.checks import HUGE, Array, Matrix, matrix, number, vector
 from sweepopt.errors import InputError, shown
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
@@ -323,15 +323,17 @@ def images(M: Any) -> Callable[[Any], Any]:
     M = matrix("M", M)
     if not M.shape[0]:
         raise InputError("M must have at least one row")
-    row_units(COLUMN, M.T)
     return partial(_image, M)
 
 
 @once
-def _columns(M: Matrix) -> sp.csc_array:
+def _columns(M: Matrix) -> tuple[Array, Array, Array, bool]:
+    """Rows and numbers of the entries, the rows that have some, and if each column has one."""
+    row_units(COLUMN, M.T)
     columns = sp.csc_array(M, copy=True)
     columns.eliminate_zeros()
-    return columns
+    rows = columns.indices
+    return rows, columns.data, np.unique(rows), rows.size and (np.diff(columns.indptr) == 1).all()
 
 
 @partial(over_time, linear=True)
@@ -340,22 +342,20 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if M.shape[1] != C.dim:
         hint = "; did you mean its transpose?" if M.shape[0] == C.dim else ""
         raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}{hint}")
+    unknowns, factors, few, single = _columns(M)
+    distinct = few.size == unknowns.size
     if isinstance(C, Point):
         return Point(M @ C.offsets)
-    columns = _columns(M)
-    unknowns, factors = columns.indices, columns.data
-    distinct = np.unique(unknowns).size == unknowns.size
-    if unknowns.size and (np.diff(columns.indptr) == 1).all():
+    if single:
         if isinstance(C, Box):
             # a contact node that is named several times has the sum of its bounds
             ends = np.zeros((M.shape[0], 2))
             np.add.at(ends, unknowns, np.sort(factors * [C.lower, C.upper], axis=0).T)
-            unknowns = unknowns if distinct else np.unique(unknowns)
+            unknowns = unknowns if distinct else few
             return Aligned(Box(*ends[unknowns].T), unknowns=unknowns, dim=M.shape[0])
         if distinct and (factors == factors[0]).all():
             part = C if factors[0] == 1 else scale(factors[0], C)
             return nested(Aligned(part, unknowns=unknowns, dim=M.shape[0]), C)
-    few = np.unique(unknowns)
     # a dense program of few pays where those that are eliminated are more than those that stay
     if sp.issparse(M) and 0 < few.size < M.shape[0] / 2:
         part = _image(sp.csr_array(M)[few], C)

@@ -195,7 +195,10 @@ class Splitting:
             if blocks is None:
                 return None
             for few, block in blocks:
-                D[at, at][few[:, :, None], few[:, None]] = block
+                if few.size == part.dim == few.shape[1]:
+                    D[at, at] = block[0]
+                else:
+                    D[at, at][few[:, :, None], few[:, None]] = block
         return D
 
     def projection(self, v: Array, x: Array, size: float) -> Projection:
