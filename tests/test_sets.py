@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+import math
 import operator
 import pickle
 import re
@@ -218,6 +219,27 @@ def test_pairs_of_sets_that_hardly_overlap_are_as_near_as_they_say(d):
             continue
         off = np.abs(pair.w - [low, height])
         assert (off <= pair.perturbation.w + 1e-16).all()
+
+
+@pytest.mark.parametrize("seed", [0, 20, 70, 82, 84, 98])
+def test_far_from_0_pairs_of_sets_that_hardly_overlap_are_as_near_as_they_say(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 7))
+    center, g = 1e6 * rng.normal(size=n), rng.normal(size=n)
+    g /= np.linalg.norm(g)
+    low = float(g @ center) + 1 - 10 ** rng.uniform(-8.5, -7)
+    C = so.Ball(center, 1.0) & so.HalfSpace(-g, -low)
+    p = rng.normal(size=n)
+    p += (0.8 * rng.choice([-1, 1]) - g @ p) * g
+    # the point with this normal, by the depth of the data as they are rounded
+    exact = [[Fraction(x) for x in xs.tolist()] for xs in (g, center)]
+    depth = Fraction(low) - sum(a * b for a, b in zip(*exact, strict=True))
+    square = sum(a * a for a in exact[0])
+    along = p - (g @ p) / (g @ g) * g
+    height = math.sqrt(1 - depth * depth / square) / np.linalg.norm(along)
+    pair = C.normal_pair(p, center, np.ones(n))
+    off = pair.w - center - (float(depth / square) * g + height * along)
+    assert np.linalg.norm(off) <= np.linalg.norm(pair.perturbation.w) + np.spacing(1e6)
 
 
 class Nearest(NamedTuple):

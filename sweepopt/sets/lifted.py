@@ -230,8 +230,9 @@ class Lifted(ConvexSet):
         rows = any(isinstance(shape_of(C), Polyhedron) for C in self.lifted.parts)  # slow supports
         if self._beside is None or rows or not self.lifted.small:
             return False
-        p = self._beside.v - self._beside.w
-        n, sizes = self._beside.splitting.normals(p, self._beside.start.n)
+        p, splitting = self._beside.v - self._beside.w, self._beside.splitting
+        n_and_sizes = splitting.normals(p, self._beside.image - self._beside.s)
+        n, sizes = (splitting.units * x for x in n_and_sizes)
         most = self.part.support(n) + 10 * ROUNDING * euclidean(sizes) * self.part.magnitude()
         rounding = 10 * ROUNDING * float(np.abs(p) @ np.abs(w))
         return bool(p @ w - most > distance * euclidean(p) + rounding)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
 from typing import NamedTuple
@@ -36,7 +37,6 @@ GROWTH = 4.0  # of the proximal parameter after each
 REGULAR = 1e-3  # multiple of 1 in the Hessian, for a gradient as large as what it adds up
 SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as many
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
-LIGHT = 1e-6  # weight of what should move little (w, p) beside what may (s, n)
 
 Map = Callable[[Array], Array]
 
@@ -244,7 +244,7 @@ class Splitting:
             if D is None:
                 break
             share = euclidean(r) / max(size, float(np.abs(x).max()))
-            regular = self._jacobian(D) + min(max(share, RANK), 1.0) * one
+            regular = self._K - D @ self._reflection + min(max(share, RANK), 1.0) * one
             x = x + np.linalg.solve(regular, r)
             iterate = at(x)
         return iterate, False
@@ -298,10 +298,6 @@ class Splitting:
             y = y + _step_length(gradient, y, step, float(g @ step)) * step
         return FixedPoint(y, False)
 
-    def _jacobian(self, D: Array) -> Array:
-        """Of -residual."""
-        return self._K - D @ self._reflection
-
     def _point(self, v: Array, s: Array, size: float) -> Array:
         """E s, or v itself where that is the same to rounding: v is in C.
 
@@ -311,63 +307,61 @@ class Splitting:
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
     def normals(self, p: Array, n: Array) -> tuple[Array, Array]:
-        """E^T p - F^T lam, next to normals n, and the sizes of what is added; in plain units."""
-        E, F = self.E * self.units, self.F * self.units
-        pull = E.T @ p
-        multipliers = self._multipliers @ ((pull - n) / self.units)
-        return pull - F.T @ multipliers, np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers)
+        """E^T p - F^T lam, next to normals n, and the sizes of what is added."""
+        pull = self.E.T @ p
+        multipliers = self._multipliers @ (pull - n)
+        sizes = np.abs(self.E.T) @ np.abs(p) + np.abs(self.F.T) @ np.abs(multipliers)
+        return pull - self.F.T @ multipliers, sizes
 
     def is_tense(self, near: Projection, times: float) -> bool:
         """Whether multipliers of F s = 0 are so many times as large as v - w, as forces on parts.
 
         They have no bound where the parts meet in no interior point.
         """
-        pull = self.E.T @ (near.v - near.w)
-        held = self.F.T @ (self._multipliers @ (pull - (near.image - near.s)))
-        return bool(np.linalg.norm(held) > times * np.linalg.norm(pull))
+        p = near.v - near.w
+        pull, (n, _) = self.E.T @ p, self.normals(p, near.image - near.s)
+        return euclidean(pull - n) > times * euclidean(pull)
 
     def perturbation(self, near: Projection, p: Array) -> Perturbation | None:
-        """How far w and p are from a pair, to first order; None where parts have no derivative.
+        """How far w = E s and p are from the projection of w + p and its normal, to first order.
 
-        A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
-        dx, dlam and the small dw, dp that make  n = E^T p - F^T lam,  F s = 0  and  w = E s  true
-        are linear in what these miss, which is known but for rounding.
+        None where parts have no derivative.
         """
         D = self.derivative_of_parts(near.image)
         if D is None:
             return None
-        s, E, F, scale = near.s, self.E, self.F, self.rounding_scale(near.image)
+        response = self._response(D)
         some = float(p.any())  # 0 is normal everywhere
-        n, turns = some * (near.image - s), some * (np.eye(s.size) - D)
-        pull, sizes = E.T @ p, np.abs(s) + scale
-        multipliers = self._multipliers @ (pull - n)
-        off = np.concatenate([pull - F.T @ multipliers - n, -F @ s, near.w - E @ s])
-        forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + some * scale
-        rounding = np.concatenate([forces, np.abs(F) @ sizes, np.abs(E) @ sizes])
-        m, k = F.shape[0], p.size
-        dim, cut = s.size, s.size + m
-        system = np.zeros((cut + k, cut + 2 * k))
-        system[:dim, :dim], system[:dim, dim:cut] = turns, F.T
-        system[:dim, cut + k :] = -LIGHT * E.T
-        system[dim:, :dim] = np.concatenate([F, E]) @ D
-        system[cut:, cut : cut + k] = -LIGHT * np.eye(k)
-        right = np.concatenate([off[:, None], ROUNDING / 4 * np.diag(rounding)], axis=1)
-        # a flat and a round part that overlap by d have rows of size sqrt(d), small but no rounding
-        sizes = np.linalg.norm(system, axis=1, keepdims=True)
-        sizes[sizes <= RANK * sizes.max()] = 1.0
-        back = LIGHT * _shortest(system / sizes, right / sizes)[-2 * k :]
+        s, F, scale = near.s, self.F, self.rounding_scale(near.image)
+        n, sizes = some * (near.image - s), np.abs(s) + scale
+        normals, forces = self.normals(p, n)
+        off = response @ np.concatenate([normals - n, -F @ s])
+        rounding = ROUNDING / 4 * np.concatenate([forces + some * scale, np.abs(F) @ sizes])
         # what is known adds up, what is rounding adds up as the root of squares
-        shifts = np.abs(back[:, 0]) + np.linalg.norm(back[:, 1:], axis=1)
-        return Perturbation(shifts[:k], shifts[k:])
+        shifts = np.abs(off) + np.sqrt(((response * rounding) ** 2).sum(axis=1))
+        of_w = np.abs(near.w - self.E @ s) + ROUNDING / 4 * np.abs(self.E) @ sizes
+        return Perturbation(shifts + of_w, shifts)
 
     def derivative(self, near: Projection) -> Array | None:
         """dw/dv."""
         D = self.derivative_of_parts(near.image)
-        if D is None:
-            return None
-        one, pull = np.eye(len(D)), self._K @ self.E.T
-        dx = _shortest(self._jacobian(D), (2 * D - one) @ pull)
-        return np.asarray(self.E @ (self._K @ dx + pull))
+        return None if D is None else self._response(D)[:, : len(D)] @ self.E.T
+
+    def _response(self, D: Array) -> Array:
+        """The dw = E ds that change  E^T (v - w) - F^T lam - n  and  -F s  by the smallest numbers.
+
+        A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx.
+        """
+        (m, n), F = self.F.shape, self.F
+        transposed, right = np.zeros((n + m, n + m)), np.zeros((n + m, len(self.E)))
+        right[:n] = D @ self.E.T
+        transposed[:n, :n] = right[:n] @ self.E + np.eye(n) - D
+        transposed[:n, n:], transposed[n:, :n] = D @ F.T, F
+        with suppress(np.linalg.LinAlgError):
+            response = np.linalg.solve(transposed, right).T
+            if np.abs(response).max() <= 1 / RANK:
+                return response
+        return _shortest(transposed, right).T  # where parts move and their sum does not
 
 
 def _step_length(gradient: Map, y: Array, step: Array, slope: float) -> float:
