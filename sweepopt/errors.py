@@ -79,9 +79,9 @@ class Status(Enum):
         "certified. Loosen tol, change the solver or look at the step's data."
     )
     SWITCHING = (
-        "The run stopped early: the active set changes without end, over 100,000 times, or ten "
-        "times a row within 1.5e-8 of the run. The steps before it are exact. Use implicit-euler, "
-        "midpoint or sdirk2, which need no switch times."
+        "The run stopped early: it has over 100,000 phases between switches, or 20 to 40 a row "
+        "within 1.5e-8 of the run. The steps before it are exact. Use implicit-euler, midpoint or "
+        "sdirk2, which need no switch times."
     )
     STOPPED = "The callback stopped the run; all steps computed until then are returned."
     INTERRUPTED = "The run was interrupted; all steps computed until then are returned."

@@ -406,6 +406,21 @@ def test_waves_that_rounding_of_late_times_cannot_resolve_are_no_success():
 
 def test_waves_too_fast_to_be_followed_end_in_a_step_error():
     process = block(so.Sine(3.0, period=1e-12))
-    words = r"step 0 .* switches accumulate at t = .*; use implicit"
+    words = r"step 0 .* phases do not get beyond t = .*; use implicit"
     with pytest.raises(so.StepError, match=words):
         so.solve(process, t_end=1.0, steps=10, scheme="exact")
+
+
+def test_multipliers_of_nearly_dependent_rows_are_no_stall():
+    # the noise of one is |S^-1| times that of the slacks: 101 phases within 5e-6 without that
+    A = np.array([[2.79885e-5, -3.57591e-5], [-3.57591e-5, 4.5693e-5]])
+    B = np.array([[2.8519, -3.69376], [-3.69376, 5.94226]])
+    load = so.Table([0.0, 0.0668577, 2.73565, 5.0], [0.502941, 0.502941, 0.842261, 0.842261])
+    g, shape = np.array([0.17974, 0.47507]), np.array([-1.12852, 2.03615])
+    scale = so.Table([0.0, 2.5, 5.0], [1.0, 0.0, 1.5])
+    C = so.Moving(so.Box(-g, g), so.Separable([(load, shape)]), scale)
+    process = so.SweepingProcess(A, B, C, np.zeros(2))
+    with pytest.warns(so.InitialStateWarning):
+        found = exact(process, 5.0)
+    assert len(found.phases) < 20
+    assert residual(process, found, np.linspace(1e-3, 4.999, 200)) <= 1e-9

@@ -35,3 +35,17 @@ def test_curves_are_in_sets_that_move_separately_and_bounds_of_gaps_are_not_belo
     assert outside.max() < 1e-9
     assert (gaps >= each @ weights).all()
     assert np.mean(gaps) < 3 * np.mean(each @ weights)
+
+
+def test_a_row_that_never_binds_hides_nothing_of_the_others():
+    """Its rounding is more than the others move."""
+    t, directions, found = np.linspace(0.0, 0.9, 13), np.tile([1.0, 0.2], (12, 3, 1)), []
+    disc = so.Moving(so.Ball([0.0, 0.0], 0.3), so.Separable([(so.Sine(0.1, 3.0), [1.0, 0.5])]))
+    for far in (10.0, 1e13):
+        h = [(so.Constant(), [0.9, 0.9, 0.9, far]), (so.Sine(1.5, 0.9), [1.0, -1.0, 0.5, 0.0])]
+        C = so.Polyhedron([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], so.Separable(h)) + disc
+        aim = np.tile([10.0, 2.0], (12, 4, 1))
+        found.append(within_separate(C, t[:-1], t[1:], aim, directions, {}))
+    (w, gaps), (others, theirs) = found
+    assert np.abs(w - others).max() < 1e-9
+    assert gaps == pytest.approx(theirs, rel=1e-6)

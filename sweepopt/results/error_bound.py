@@ -37,7 +37,8 @@ A v' + B v - beta v', less the center, or, where projections iterate, through th
 with which the programs of the second run ended. beta is that of |x|_A^2 >= beta |x|^2, as
 w = P_C(A v' + B v - beta v') makes 2 G + |r|^2 / beta least; 0 where A is singular. Errors of the
 solver in the second run thus are part of r and G. Both are bounded on the whole of each step: G by
-the convexity of sigma, r as a polynomial plus the interpolation error of histories (`residuals`).
+the convexity of sigma, r as a polynomial plus the interpolation error of histories (`residuals`);
+w and G of sets that operations make of sets with data of their own are in `separate`.
 """
 
 from __future__ import annotations
@@ -84,13 +85,13 @@ STIFF = 10
 WORK = (8, 5, 4, 3)
 """Steps, of one program each, that all second runs together may have for each program of the run:
 for up to SMALL unknowns with exact projections, for others, and for sets that move separately by
-straight and by curved data. With 5 and 4 these took up to 13 times as long as the run, as each step
-has one or two supports, and with curved data a projection. One takes 0.5 to 0.9 of the time of a
-program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9 they were 1.02 times
-as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up to 1.5 times on seven
-uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than SMALL unknowns steps at
-rest do not count, as one takes a fiftieth of the time of another; for fewer they do: without them
-bounds were up to 1.5 times as loose."""
+straight and by curved data. With 5 and 4 these took up to 13 and 16 times as long as the run, as
+each step has one or two supports, and with curved data a projection. One takes 0.5 to 0.9 of the
+time of a program of the run: 8 make bounds cost less than 10 runs. With 8 in place of 9 they were
+1.02 times as loose (geometric mean of 45 runs, at most 1.29), with 8 in place of 10 up to 1.5 times
+on seven uneven stiff bodies. 5 is what sdirk2 had for large bodies. For more than SMALL unknowns
+steps at rest do not count, as one takes a fiftieth of the time of another; for fewer they do:
+without them bounds were up to 1.5 times as loose."""
 SMALL, LARGE = 50, 1000
 """Unknowns. With 14 programs, which small bodies once had, bounds took 13 times as long as the run
 for 120 unknowns, 11 for 72 and 10 for 7. Of more than LARGE one curve v is tried."""

@@ -212,10 +212,10 @@ def unknown(C: AnySet, data: Motion, t: float) -> str:
         S, ask = C.at(t), "write it as a Moving set, or take error_bound(variation=)"
         if reason or not (S.certifiable and S.magnitude() < math.inf):
             return reason or f"C(t) is made of sets that move separately and is unbounded: {ask}"
-        if not all(map(has_curves, C.moving_parts)):
+        if not all(has_curves(part, t) for part in C.moving_parts):
             reason = (
-                "a set that C(t) is made of is flat, jumps, or moves by a function of which only a "
-                f"variation is known: give it so.Table histories, {ask}"
+                "a set that C(t) is made of is flat and moves on a curve, jumps, or moves by a "
+                f"function of which only a variation is known: give it so.Table histories, {ask}"
             )
         return reason
     if not data.summands:

@@ -1,19 +1,19 @@
 """Curves in a C(t) that is made of sets that move separately, and bounds of their G (MATH 4).
 
-Sums, images, products and intersections of sets c_i + r_i S_i and { w : G w <= h_i } are concave,
-for inclusion, in their data phi = (c_i, r_i, h_i): for weights b_k >= 0 of sum 1 all sum_k b_k w_k
-with w_k in C(phi_k) are in C(sum_k b_k phi_k). So the curve with Bernstein coefficients w_k is in
-C(t) if phi is the parabola with coefficients phi_k, and also where phi(t) is off that parabola, if
-all sets of the middle phi_k are smaller for it. And for weights b >= 0 with int b = 1,
-int b sigma(C(t), p) is at most sigma(C(int b phi), p) (Jensen), where int b phi is that of the
-cubics of phi, and the sets are larger by what phi is off these.
+Sums, images, products and intersections of sets c_i + r_i S_i and { w : G w <= h_i } that have data
+of their own are concave, for inclusion, in these data phi = (c_i, r_i, h_i): if b_k >= 0,
+sum_k b_k = 1 and w_k in C(phi_k), then sum_k b_k w_k is in C(sum_k b_k phi_k). So the curve with
+Bernstein coefficients w_k is in C(t) if phi is the parabola with coefficients phi_k. Where phi(t)
+differs from that parabola, the sets of the middle coefficient are shrunk by a bound of the
+difference. And for b >= 0 with int b = 1, int b sigma(C(t), p) <= sigma(C(int b phi), p) (Jensen):
+int b phi is computed from the cubic interpolants of phi, and the sets are enlarged by a bound of
+the interpolation error.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -38,12 +38,13 @@ def moves_straight(C: Any) -> bool:
     return all(is_straight(phi) for part in C.moving_parts for phi in motion(part).histories)
 
 
-def has_curves(part: MovingSet) -> bool:
-    """Whether it has smaller sets for what its data, continuous and bounded, are off parabolas."""
+def has_curves(part: MovingSet, t: float) -> bool:
+    """Whether curves in it are known: its data are straight, or it can be shrunk at the time t."""
     of = motion(part)
+    if moves_straight(part):
+        return True
     known = all(hasattr(x, "piece") and not isinstance(x, Slope) for x in histories_of(part))
-    inside = of.offsets or (known and ball_inside(of.summands[0][1])[1])
-    return moves_straight(part) or bool(known and inside)
+    return known and ball_inside(part.at(t) if of.offsets else of.summands[0][1])[1] > 0
 
 
 def within_separate(
@@ -60,10 +61,19 @@ def within_separate(
         If a smaller set has no point.
     """
     data = {part: _data(part, begin, end) for part in C.moving_parts}
+    balls = {
+        part: ball_inside(part.shape)
+        for part, (_, off) in data.items()
+        if off.any() and not motion(part).offsets
+    }
     aims, w, gaps = TO_PARABOLA @ aim, np.empty(directions.shape), 0 * begin
 
     def member(i: int, k: int) -> Any:
-        return C.member({part: _member(part, *of[:, i, k]) for part, of in data.items()})
+        sets = {
+            part: _member(part, values[i, k], off[i, k], balls.get(part))
+            for part, (values, off) in data.items()
+        }
+        return C.member(sets)
 
     def point(i: int, k: int) -> Any:
         return member(i, k).project(aims[i, k])
@@ -92,13 +102,13 @@ def gap(S: ConvexSet, p: Array, w: Array) -> float:
 
 
 def _data(part: MovingSet, begin: Array, end: Array) -> Array:
-    """What a set moves by, center and scale or h, and how far, with a sign, it may be off that.
+    """Coefficients of the data, center and scale or h, and bounds of their interpolation errors.
 
-    Bernstein coefficients of the parabola through its ends and its middle on each interval, and the
-    MEANS, both of shape (m, 9, k). A history with its cubic p is off the parabola by the third
-    derivative / 6 x (x - 1/2) (x - 1), at most a quarter of that / 6 times 2 x (1 - x): that of p
-    is known, and phi - p has at most |phi^(4)| / 2, 12 * 70 times the error of p (Shadrin, as in
-    `interpolate`).
+    Bernstein coefficients of the parabola through ends and middle of each interval, and the MEANS;
+    both of shape (m, 9, k). Bounds with a negative sign shrink the set, others enlarge it. A
+    history phi differs from the parabola by its third derivative / 6 x (x - 1/2) (x - 1), at most a
+    quarter of that / 6 times 2 x (1 - x). The third derivative of its cubic p is known, that of
+    phi - p is at most |phi^(4)| / 2, 12 * 70 times the error of p (Shadrin, as in `interpolate`).
     """
     moving, of_all = motion(part), []
     times = np.stack([begin, 0.5 * (begin + end), end], axis=1)
@@ -109,14 +119,15 @@ def _data(part: MovingSet, begin: Array, end: Array) -> Array:
         off = np.repeat(error[:, None], 9, axis=1)
         off[:, :3] = 0.0
         off[:, 1] = -35 * error - np.abs(np.diff(TO_BERNSTEIN @ cubics, 3, axis=1))[:, 0] / 4
+        # rounding of each row of h, of all of a vector
+        size = np.abs(parabolas).max(axis=(0, 1) if moving.offsets else None)
+        off[np.abs(off) <= 10 * ROUNDING * size] = 0.0
         of_all.append([np.append(parabolas, MEANS @ cubics, axis=1), off])
-    values, off = np.concatenate(of_all, axis=3)
-    off[np.abs(off) <= 10 * ROUNDING * np.abs(values).max()] = 0.0
-    return np.stack([values, off])
+    return np.concatenate(of_all, axis=3)
 
 
-def _member(part: Any, values: Array, off: Array) -> Any:
-    """A set that contains all whose data are so far from these; one in them if off < 0.
+def _member(part: Any, values: Array, off: Array, ball: tuple[Array, float] | None) -> Any:
+    """A set around all whose data differ by at most off from these; if off < 0, one in all.
 
     With y + B(0, rho) in S and s >= |e| + (|d| + |e| |y|) / rho, c + d + (r + e) S is in
     c - s y + (r + s) S, and (c + s y) + (r - s) S is in it.
@@ -124,8 +135,8 @@ def _member(part: Any, values: Array, off: Array) -> Any:
     if not hasattr(part, "scale"):
         return part.shape.member(values + off)
     center, scale = values[:-1], float(values[-1])
-    if off.any():
-        (y, rho), d, e = ball_inside(part.shape), np.linalg.norm(off[:-1]), abs(off[-1])
+    if ball and off.any():
+        (y, rho), d, e = ball, np.linalg.norm(off[:-1]), abs(off[-1])
         s = float(np.copysign(e + (d + e * np.linalg.norm(y)) / rho, off.sum()))
         center, scale = center - s * y, scale + s
     if scale < 0:
@@ -133,7 +144,6 @@ def _member(part: Any, values: Array, off: Array) -> Any:
     return scale * part.shape + center
 
 
-@lru_cache(16)
 def ball_inside(S: ConvexSet) -> tuple[Array, float]:
     """y and rho with y + B(0, rho) in S, from octahedra with corners near S; rho = 0 if flat."""
     size = S.magnitude()

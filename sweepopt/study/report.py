@@ -87,6 +87,9 @@ def fastest_runs(study: "Study", table: DataFrame) -> dict[str, Solution]:
         }
 
 
+HARDLY = 100.0  # times the time for half the error: no advice
+
+
 def halving(table: DataFrame) -> DataFrame:
     """What half the error would cost, along each axis, from the best runs on.
 
@@ -104,9 +107,9 @@ def halving(table: DataFrame) -> DataFrame:
     -------
     pandas DataFrame
         A row a run, with its columns, one for each axis in `AXES` called "more steps"
-        for example: the factor of the time, inf where the error hardly falls or does not reach half
-        in two runs and more, nan where no next run was measured; and `cheapest`, the axis of the
-        least factor, "" if all are above 100.
+        for example: the factor of the time, inf where the error hardly falls, here or before it
+        is half, nan where no next run was measured; and `cheapest`, the axis of the least factor,
+        "" if all are above 100.
     """
     require_columns(table, CellRow._fields)
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
@@ -116,18 +119,19 @@ def halving(table: DataFrame) -> DataFrame:
         same = [column for column in SETTINGS if column != axis]
         runs = cells.groupby(same)[["error", "wall"]]
         following, least = runs.shift(-1), cells[::-1].groupby(same).error.cummin()
-        # two runs further along are measured, and none there has half the error
-        stuck = (least / cells.error > 0.5) & runs.shift(-2).error.notna()
         fall = np.log(cells.error / following.error)
         # more accurate in less time is possible: times are measured
         rise = np.log(following.wall / cells.wall).clip(lower=0.0)
         # a factor above 2^100 is none
-        factors[words] = np.exp2((rise / fall).where(~(stuck | (fall <= rise / 100)), np.inf))
+        factor = np.exp2((rise / fall).where(fall > rise / 100, np.inf)).where(rise.notna())
+        # no run further along has half the error, and between the last two it hardly falls
+        last = factor.groupby([cells[column] for column in same]).transform("last")
+        factors[words] = factor.where((least / cells.error <= 0.5) | ~(last > HARDLY), np.inf)
     cells = known.assign(**factors)
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
     best = cells[cells.error < 0.9 * faster].sort_values("problem", kind="stable")
     possible = best[list(AXES)].fillna(np.inf)
-    cheapest = possible.idxmin(axis="columns").where(possible.min(axis="columns") <= 100, "")
+    cheapest = possible.idxmin(axis="columns").where(possible.min(axis="columns") <= HARDLY, "")
     return best.assign(cheapest=cheapest)
 
 

@@ -245,7 +245,8 @@ class Face(NamedTuple):
     active : list of int
         Independent rows that hold with equality, those that always do first.
     orders : ndarray of int, shape (m,)
-        How many leading coefficients of a row's multiplier, or of its slack, are zero.
+        How many leading coefficients of a row's multiplier, or of its slack, are zero; 0 for rows
+        that are undecided.
     undecided : ndarray of bool, shape (m,)
         Rows whose slack is zero, or hidden by rounding; they are not active.
     """
@@ -255,7 +256,9 @@ class Face(NamedTuple):
     undecided: Array
 
 
-def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, before: set[int]) -> Face:
+def face_after(
+    rows: Rows, phi: ExponentialSum, t: float, u: Array, before: set[int], stalled: bool
+) -> Face:
     """The face just after t.
 
     Parameters
@@ -263,7 +266,11 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, before: set[
     phi : ExponentialSum
         The histories of the rows from t on.
     before : set of int
-        The rows that are active up to t: until they are decided they move at a rate in rounding.
+        The rows that are active up to t. While they are undecided, their rounding counts in that
+        of the velocity.
+    stalled : bool
+        Whether the face that was found held for no time: a multiplier of rows that are nearly
+        dependent was rounding. That of S^-1 counts then.
 
     Raises
     ------
@@ -297,7 +304,10 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: Array, before: set[
         values = s + rows.S[:, basis] @ y  # the slack of a row, or its multiplier
         values[basis] = y
         slow = [row for row in before if undecided[row]]
-        worst = float(noise[basis + slow].max(initial=0.0))
+        of_y = noise[basis]
+        if stalled:
+            of_y = np.abs(np.linalg.inv(rows.S[np.ix_(basis, basis)])) @ of_y
+        worst = float(max(of_y.max(initial=0.0), noise[slow].max(initial=0.0)))
         decided = undecided & (values > noise + worst)
         undecided &= ~decided
         orders[decided] = k

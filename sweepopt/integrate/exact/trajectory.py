@@ -27,7 +27,7 @@ from sweepopt.velocity import Plan, Velocity, certify_point
 
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
 PHASES = 100_000  # a minute, with one unknown
-STALL = 20  # phases a row within sqrt(EPS) of the run: there they accumulate too
+STALL = 20  # phases a row, or up to twice as many, within sqrt(EPS) of the run: so there, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +131,17 @@ def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase
     ends = [start, *breakpoints(rows.histories, start, end).tolist(), end]
     for a, b in pairwise(ends):
         s, pieces = a, [phi.piece(a, b) for phi in rows.histories]
-        left, mark = left + 1, -math.inf
+        left, mark, stalled = left + 1, -math.inf, False
         while s < b:
             phi = histories(pieces, s, b - s)
-            face = face_after(rows, phi, s, u, before)
+            face = face_after(rows, phi, s, u, before, stalled)
             motion, length = _motion(rows, phi, u, face)
             active = set(face.active)
             switch |= s > start and (active != before or (s == a and bool(active)))
             following = s + length
-            if following == s and active == before:  # the end of this face is rounded to its start
-                following = math.nextafter(s, b)
+            again, stalled = stalled, following == s and active == before
+            if again and stalled:  # the end of this face is rounded to its start
+                following, stalled = math.nextafter(s, b), False
             before = active
             if b - following <= min(32 * EPS * abs(b), following - s):
                 following = b  # but for rounding
@@ -228,8 +229,9 @@ def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, A
             assert run.exact is not None
             run.status = Status.SWITCHING
             run.cause = (
-                f"step {run.done} from t = {t:g}: switches accumulate at t = {run.exact.end:g}, "
-                f"after {len(run.exact.phases)} phases; use implicit-euler, midpoint or sdirk2"
+                f"step {run.done} from t = {t:g}: its phases do not get beyond "
+                f"t = {run.exact.end:g}, {len(run.exact.phases)} with those of the steps before; "
+                "use implicit-euler, midpoint or sdirk2"
             )
             return None
         after, z, phases = node
