@@ -328,12 +328,13 @@ def images(M: Any) -> Callable[[Any], Any]:
 
 @once
 def _columns(M: Matrix) -> tuple[Array, Array, Array, bool]:
-    """Rows and numbers of the entries, the rows that have some, and if each column has one."""
+    """Rows and numbers of all entries, the rows with an entry, and if each column has just one."""
     row_units(COLUMN, M.T)
     columns = sp.csc_array(M, copy=True)
     columns.eliminate_zeros()
     rows = columns.indices
-    return rows, columns.data, np.unique(rows), rows.size and (np.diff(columns.indptr) == 1).all()
+    single = rows.size > 0 and bool((np.diff(columns.indptr) == 1).all())
+    return rows, columns.data, np.unique(rows), single
 
 
 @partial(over_time, linear=True)

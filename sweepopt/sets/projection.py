@@ -348,9 +348,11 @@ class Splitting:
         return None if D is None else self._response(D)[:, : len(D)] @ self.E.T
 
     def _response(self, D: Array) -> Array:
-        """The dw = E ds that change  E^T (v - w) - F^T lam - n  and  -F s  by the smallest numbers.
+        """The derivative of w = E s by what is left of  E^T (v - w) - F^T lam - n = 0 and -F s = 0.
 
-        A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx.
+        A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
+        transposed system has as many right-hand sides as w entries. Where it is singular, as parts
+        move and their sum does not, its shortest solution is taken.
         """
         (m, n), F = self.F.shape, self.F
         transposed, right = np.zeros((n + m, n + m)), np.zeros((n + m, len(self.E)))
@@ -361,7 +363,7 @@ class Splitting:
             response = np.linalg.solve(transposed, right).T
             if np.abs(response).max() <= 1 / RANK:
                 return response
-        return _shortest(transposed, right).T  # where parts move and their sum does not
+        return _shortest(transposed, right).T
 
 
 def _step_length(gradient: Map, y: Array, step: Array, slope: float) -> float:
