@@ -6,8 +6,8 @@ Stage k of a step from (t_i, u_i) with mu solves the velocity program
 
 and u_{i+1} = u_i + mu sum_k b_k z_k. MATH.md section 3 has the orders and the proofs.
 
-The last stage of a second-order scheme starts from an extrapolation, which may have carried an
-unknown past the place where it should rest: friction then holds it there. Where step * Lam > 2, a
+The last stage of a second-order scheme starts from an extrapolation, which may have carried a
+body past the place where it should rest: friction then holds it there. Where step * Lam > 2, a
 scheme with `euler_steps` takes such a step by implicit Euler instead, which never goes too far.
 
 A scheme by name is its tableau on the given grid. "auto" meets the breakpoints of loads that are
@@ -43,7 +43,7 @@ class Scheme:
     order : float
         For translated sets with smooth loads; infinite if the scheme has no error in time.
     euler_steps : int
-        Into how many steps of implicit Euler a stiff step is divided in which unknowns that rest or
+        Into how many steps of implicit Euler a stiff step is divided in which bodies that rest or
         turn back in the last stage moved more than implicit Euler is late to follow the others; 0
         for none. Their matrix is that of the stages.
     reason : str

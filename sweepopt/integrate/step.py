@@ -109,10 +109,10 @@ class Velocities:
         moved more in the earlier ones, and may be carried too far, than steps of implicit Euler are
         late to follow the velocities of the others: by A / M times their change, and not at all
         without viscosity. Both in squares, weighted by the diagonal of M. A body is one unknown, or
-        those of a ball: they turn round all the time where it slides on a curve. What rests in an
-        earlier stage and starts is one of the others: counted as carried too far, it made one of
-        699 runs 2.3 times the best of three schemes (MATH 3). Where step * Lam <= 2 no error comes
-        back with the other sign.
+        those of a ball: where that slides on a curve, its unknowns change their signs in turn and
+        nothing turns back. What rests in an earlier stage and starts is one of the others: counted
+        as carried too far, it made one of 699 runs 2.3 times the best of three schemes (MATH 3).
+        Where step * Lam <= 2 no error comes back with the other sign.
         """
         scheme, process = self._plan.scheme, self._process
         stages = self.stages(scheme, t, mu, u)

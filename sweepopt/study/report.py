@@ -87,7 +87,7 @@ def fastest_runs(study: "Study", table: DataFrame) -> dict[str, Solution]:
         }
 
 
-HARDLY = 100.0  # times the time for half the error: no advice
+HARDLY = 100.0  # times the time for half the error, or more, is no advice: order 0.15 and less
 
 
 def halving(table: DataFrame) -> DataFrame:
