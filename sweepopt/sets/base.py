@@ -204,12 +204,6 @@ def once(operation: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @once
-def _stacked(*matrices: sp.csr_array) -> sp.csr_array:
-    """One block for each."""
-    return sp.csr_array(sp.block_diag(matrices, format="csr"))
-
-
-@once
 def _product(M: Matrix, E: sp.csr_array) -> sp.csr_array:
     product = sp.csr_array(M if E is identity(E.shape[0]) else sp.csr_array(M) @ E)
     product.sort_indices()  # in place, which threads that share it must not
@@ -254,8 +248,9 @@ class Form(NamedTuple):
         """C x D x ...: everything is stacked."""
         if len(forms) == 1:
             return forms[0]
-        E, F = (_stacked(*Ms) for Ms in zip(*((form.E, form.F) for form in forms), strict=True))
-        return cls(E, F, tuple(part for form in forms for part in form.parts))
+        Es, Fs, parts = zip(*forms, strict=True)
+        E, F = (sp.csr_array(sp.block_diag(each, format="csr")) for each in (Es, Fs))
+        return cls(E, F, sum(parts, start=()))
 
     @classmethod
     def added(cls, C: Form, D: Form) -> Form:
