@@ -146,12 +146,11 @@ def _add_changes(parser: argparse.ArgumentParser) -> None:
     """A scene, and the options that change it."""
     known = "a TOML file, or a name from `sweepopt list`"
     parser.add_argument("scene", metavar="SCENE", help=known)
-    for name, value, words in (
-        ("--set", "PATH=VALUE", "another value (TOML), such as effects.friction.g=0.5"),
-        ("--without", "EFFECT", "leave an effect out: friction, traction[0]"),
-    ):
-        words = f"{words}; may be repeated"
-        parser.add_argument(name, action="append", default=[], metavar=value, help=words)
+    several: Any = {"action": "append", "default": []}
+    words = "another value (TOML), such as effects.friction.g=0.5; may be repeated"
+    parser.add_argument("--set", **several, metavar="PATH=VALUE", help=words)
+    words = "leave an effect out: friction, traction[0]; may be repeated"
+    parser.add_argument("--without", **several, metavar="EFFECT", help=words)
 
 
 def _list(_: argparse.Namespace) -> None:
