@@ -76,8 +76,6 @@ class Scene(Displayed):
         Arguments of `sweepopt.solve`.
     units : {"dimensionless", "SI"}
     title : str
-    pictures : sequence of str or None
-        Those of a run, of PICTURES; None for all that fit.
     force : callable or None
         f(t), shape (dim,); None is no load.
     lifts : tuple of (history, ndarray)
@@ -88,6 +86,8 @@ class Scene(Displayed):
         The internal unknowns of each effect among all.
     tables : tuple of str
         Names of the effects, in a file those of their tables, such as "traction[0]".
+    pictures : sequence of str or None
+        Those of a run, of PICTURES; None for all that fit.
     changes : tuple of str
         What `read_scene` was told to change in the file.
     """
@@ -97,20 +97,20 @@ class Scene(Displayed):
     contact: Contact | None
     effects: tuple[Effect, ...]
     left_out: tuple[str, ...]
-    t_end: Any = None
-    steps: Any = None
-    scheme: str = "auto"
-    solver: str = "auto"
-    tol: float = 1e-6
-    path: str = "auto"
-    units: str = "dimensionless"
-    title: str = ""
+    t_end: Any
+    steps: Any
+    scheme: str
+    solver: str
+    tol: float
+    path: str
+    units: str
+    title: str
+    force: Callable[[float], Any] | None
+    lifts: tuple[tuple[History, Array], ...]
+    yields: tuple[Yield, ...]
+    internal: tuple[slice, ...]
+    tables: tuple[str, ...]
     pictures: Sequence[str] | None = None
-    force: Callable[[float], Any] | None = None
-    lifts: tuple[tuple[History, Array], ...] = ()
-    yields: tuple[Yield, ...] = ()
-    internal: tuple[slice, ...] = ()
-    tables: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
 
     _instead: ClassVar = {

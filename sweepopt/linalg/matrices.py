@@ -80,7 +80,7 @@ def lanczos_start(dim: int) -> Array:
     return np.random.default_rng(0).normal(size=dim)
 
 
-def largest_eigenvalue(product: Callable[[Array], Array], dim: int, tol: float = 0.0) -> float:
+def largest_eigenvalue(product: Callable[[Array], Array], dim: int, tol: float) -> float:
     """The largest eigenvalue of the symmetric matrix of these products."""
     if dim < 50:  # cheaper than Lanczos
         return float(np.linalg.eigvalsh(np.array([product(e) for e in np.eye(dim)]))[-1])

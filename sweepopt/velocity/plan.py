@@ -80,10 +80,10 @@ class Plan(Displayed):
     scheme: Scheme
     tol: float
     left_out: tuple[str, ...]
-    contact: Array | None = None
-    reduction: Reduction | None = None
-    condensed: bool = False
-    cones: bool = False
+    contact: Array | None
+    reduction: Reduction | None
+    condensed: bool
+    cones: bool
     contraction: float = 0.0
     proved: bool = True
     breakpoints: Array = field(default_factory=lambda: np.zeros(0))

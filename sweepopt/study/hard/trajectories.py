@@ -66,8 +66,8 @@ class TrajectoryRow(NamedTuple):
     trajectory: str
     seed: int
     scheme: str
-    steps: int = 0
-    mu_Lam: float = nan
+    steps: int
+    mu_Lam: float
     error: float = nan
     allowed: float = nan
     bound: float = nan
