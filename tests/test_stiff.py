@@ -43,8 +43,8 @@ MANY = [2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf]
         ("chain", "sines", math.inf, [42], [150], 0.5),
         # below two it neither rings nor is far from the best
         slow("chain", "sines", 0.01, [0], [25], 2.0),
-        ("chain", "tables", 1.9, [0], [25], 2.0),
-        *(one if k in (0, 2) else slow(*one) for k, one in enumerate(UNLUCKY)),
+        slow("chain", "tables", 1.9, [0], [25], 2.0),
+        *(slow(*one) if k else one for k, one in enumerate(UNLUCKY)),
         # what rests in an earlier stage and starts is not carried too far: 2.3 if it counts as such
         ("mixed", "sines", 1e6, [7104], [100], 1.2),
         # one mass of seven was carried too far, and began its next slip a step late
