@@ -221,7 +221,7 @@ def of_kind(kind, random, n, condition):
 @pytest.mark.parametrize("digits", [2, 15])
 def test_constants_are_on_the_guaranteed_side(convert, digits):
     random, proved = np.random.default_rng(digits), 0
-    for case in range(72):
+    for case in range(36):
         n, condition = int(random.integers(2, 8)), 10.0 ** random.uniform(0, digits)
         M = of_kind(case % 3, random, n, condition)
         N = (
@@ -243,7 +243,7 @@ def test_constants_are_on_the_guaranteed_side(convert, digits):
             assert not is_exactly_semidefinite((1, M), (-beta * (1 + 1e-8), np.eye(n)))
             assert not is_exactly_semidefinite((Lam * (1 - 1e-8), M), (-1, N))
         proved += beta > 0 and Lam < math.inf
-    assert proved >= 60
+    assert proved >= 30
 
 
 def of_solid(N):
