@@ -1,6 +1,8 @@
 """Objects that show themselves: in a few lines at a prompt, with a small picture in a notebook."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from html import escape
 from inspect import isroutine, signature
 from itertools import cycle
@@ -83,6 +85,13 @@ def by_parts(thing: Any) -> str:
         words.insert(0, f"dim {dim}")
     text = f"{type(thing).__name__}({', '.join(words)})"
     return fill(text, 100, subsequent_indent="    ", max_lines=8, break_long_words=False)
+
+
+if TYPE_CHECKING:
+    from dataclasses import dataclass as record
+else:
+    record = partial(dataclass, frozen=True, eq=False, repr=False)
+"""A dataclass of `Brief` things: its arrays have no one answer to ==, and it shows itself."""
 
 
 class Brief:

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from sweepopt.checks import at_path, choice, count, vector
-from sweepopt.display import Brief
+from sweepopt.display import Brief, record
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Array, Indices, SlipLaw, in_time
 from sweepopt.fem.frames import PARALLEL, SMOOTH, normals_at
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Rows(Brief):
     """Rows E of the velocity whose forces are bounded, those of a block together.
 
@@ -61,7 +61,7 @@ class Rows(Brief):
         object.__setattr__(self, "E", sp.csr_array(self.E))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Yield(Brief):
     """``J(v) = sum_k w_k g_k |E_k v|``: rows with the sets D_k that bound their forces.
 
@@ -219,7 +219,7 @@ def _set_of(one: Yield, block: int, t: float, u: Array | None) -> ConvexSet:
     return Box(-radii, radii) if block == 1 else Balls(radii, block)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Contact(Brief):
     """Nodes with friction; along a curve in the order in which one walks along it.
 

@@ -31,7 +31,7 @@ from skfem import BilinearForm, LinearForm
 from skfem.helpers import div, dot, inner
 
 from sweepopt.checks import choice, listed, number, symmetric, vector
-from sweepopt.display import Brief, by_parts
+from sweepopt.display import Brief, by_parts, record
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Rows, Yield, friction_on
 from sweepopt.fem.fields import Array, Coefficient, Datum, SlipLaw, in_time
@@ -48,7 +48,7 @@ PLACE = property(lambda effect: effect.on)
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Contribution(Brief):
     """What an effect adds to the problem; what is None or empty does not exist.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -26,7 +26,7 @@ from sweepopt.checks import (
     vector,
     with_checks,
 )
-from sweepopt.display import Displayed, Rows, svg
+from sweepopt.display import Displayed, Rows, record, svg
 from sweepopt.errors import IndefiniteError, InputError, result_of, shown
 from sweepopt.fem import output, pictures
 from sweepopt.fem.contact import Contact, Yield, by_history, dissipation, merged
@@ -55,7 +55,7 @@ from sweepopt.velocity import PATHS, solvers
 UNITS = ("dimensionless", "SI")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Scene(Displayed):
     """A problem with its mesh and settings, as `body`, `antiplane` and `read_scene` build it.
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from itertools import combinations
 from math import factorial
@@ -24,7 +24,7 @@ import skfem
 from numpy.typing import ArrayLike
 
 from sweepopt.checks import at_path, choice, count, floats, meaning
-from sweepopt.display import Brief
+from sweepopt.display import Brief, record
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.frames import AXES, Frame, frame_of
@@ -59,7 +59,7 @@ BODY = "body"
 
 
 @meaning(degree='; give element, "P1" or "P2"', order='; give element, "P1" or "P2"')
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Discretisation(Brief):
     """Continuous piecewise polynomials on a mesh, with components held to zero on boundaries.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,13 @@ from sweepopt.checks import (
     number,
     with_checks,
 )
-from sweepopt.display import Brief
+from sweepopt.display import Brief, record
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
 from sweepopt.loads.history import Array, History, as_times, interval
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Table(Brief, History):
     """Piecewise linear history through measured points.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.checks import Array
-from sweepopt.display import Displayed, Rows, as_lines, brief, evenly, svg
+from sweepopt.display import Displayed, Rows, as_lines, brief, evenly, record, svg
 from sweepopt.errors import (
     BoundWarning,
     CheckpointWarning,
@@ -141,7 +141,7 @@ class _Absent(SimpleNamespace):
         )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Solution(Displayed):
     """The piecewise-linear interpolant u_n and its diagnostics.
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Array
-from sweepopt.display import Displayed, Rows
+from sweepopt.display import Displayed, Rows, record
 from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.linalg import factor_bytes, is_diagonal
 from sweepopt.problem import SweepingProcess
@@ -36,7 +36,7 @@ PATHS = {
 Members = Sequence[tuple[float, ConvexSet]]  # times, and C(t) at them
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class Plan(Displayed):
     """How a process is simulated.
 

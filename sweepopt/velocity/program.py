@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Array, Matrix, count, number, vector
-from sweepopt.display import Brief, as_lines, brief
+from sweepopt.display import Brief, as_lines, brief, record
 from sweepopt.errors import IndefiniteError, InputError
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet, Point, Similar, exchange_matrix, in_turn
@@ -113,7 +113,7 @@ class VelocityProgram:
 # ---- as a person writes it ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@record
 class StepProgram(Brief):
     """min 1/2 <M z, z> + <Bu, z> + J(z) - <f, z>, the program that a step of a scheme solves.
 
