@@ -43,16 +43,18 @@ def _body(name: str, random: Random) -> Body:
 
 
 def _square(random: Random) -> Body:
-    """Finite elements with friction on one side, pulled and twisted; the loads have any history."""
-    import skfem
+    """The scene "square", pulled and twisted; its loads have any history."""
+    from sweepopt.fem import read_scene
 
-    from sweepopt.fem import BodyForce, Elasticity, Friction, Traction, Viscosity, antiplane
-
-    bound, pull, force = random.uniform([0.3, 2, 2], [0.8, 4, 4]).tolist()
-    loads = [Traction("right", f2=pull, history=np.sin), BodyForce(f0=force, history=np.sin)]
-    effects: Any = [Viscosity(1e-3), Elasticity(1.0), Friction("bottom", g=bound), *loads]
-    mesh = skfem.MeshTri().refined(2).with_defaults()
-    problem: Any = antiplane(mesh, clamped="top", effects=effects).problem
+    g, pull, force = random.uniform([0.3, 2, 2], [0.8, 4, 4]).tolist()
+    changes = {
+        "domain.refinements": 1,
+        "effects.elasticity.kappa": 1.0,
+        "effects.friction.g": g,
+        "effects.traction.f2": pull,
+        "effects.body_force": {"f0": force, "history": {"waveform": "constant"}},
+    }
+    problem: Any = read_scene("square", changes=changes).problem
     return problem.A, problem.B, -problem.dissipation, problem.load.shapes
 
 
