@@ -221,6 +221,13 @@ class Aligned(ConvexSet):
         gaps, distances = (np.array(x) for x in zip(*each, strict=True))
         return CurveGaps(r * gaps.sum(axis=0), r * np.linalg.norm(distances, axis=0))
 
+    def supports_along(self, p: Array, w: Array) -> Array:
+        r, sign = self._scale
+        parts = self._split(*(np.moveaxis(x, -1, 0) for x in (sign * p, self._back(w))))
+        each = (S.supports_along(*(np.moveaxis(x, 0, -1) for x in curves)) for S, *curves in parts)
+        sigma = r * np.sum(list(each), axis=0)
+        return sigma if self.v is None else sigma + p @ self.v
+
     def _alike(self, other: ConvexSet) -> TypeGuard[Aligned]:
         """Whether other has parts on the same unknowns."""
         return (
