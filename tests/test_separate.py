@@ -49,3 +49,18 @@ def test_a_row_that_never_binds_hides_nothing_of_the_others():
     (w, gaps), (others, theirs) = found
     assert np.abs(w - others).max() < 1e-9
     assert gaps == pytest.approx(theirs, rel=1e-6)
+
+
+def test_few_long_steps_have_a_guaranteed_bound():
+    """A set that is smaller by what a parabola misses on half of such a step is empty here."""
+    thin = so.image([[0.8, 0.2], [0.0, 0.2]], so.Ball([0.0, 0.0], 1.0))
+    disc, ellipse = (
+        so.Moving(S, so.Separable([(so.Sine(size, 0.8), [1.0, 0.5])]))
+        for S, size in ((so.Ball([0.3, 0.0], 1.0), 1.5), (thin, 2.0))
+    )
+    process = so.SweepingProcess(0.1 * np.eye(2), np.eye(2), disc & ellipse, [0.0, 0.0])
+    how = {"t_end": 0.8, "scheme": "midpoint", "on_unstable": "ignore"}
+    sol, fine = (so.solve(process, steps=n, **how) for n in (3, 48))
+    bound, error = sol.error_bound(), max(map(process.metric.norm, sol(fine.t) - fine.u))
+    assert bound.guaranteed
+    assert error < bound < 3 * error

@@ -80,9 +80,10 @@ PARTS_OF_STEP = 3
 SETS_OF_STEP = 8
 """Sets of a function t -> C on each step: four times as many give half the bound. With 8 a bound
 takes 6 times as long as the run of a box."""
-PARTS_OF_ROWS = (1, 8)
-"""Parts of a step with rows that move: 8 if a set of coefficients is empty with 1. With 1 alone 43
-of 289 runs had no guaranteed bound, with both 14 of 176 others."""
+PARTS_IF_EMPTY = (1, 8)
+"""Parts of a step with rows that move or sets that move separately: 8 if a set of coefficients is
+empty with 1. With 1 alone 43 of 289 runs had no guaranteed bound, with both 14 of 176 others; of
+25 with separate sets, on 3 to 6 steps in all, 13 and none."""
 NEARLY_EMPTY = (
     "C(t) is next to empty at times: give a set that closes to a point as so.Moving(set, center, "
     "scale), and to others more steps"
@@ -178,7 +179,7 @@ def residuals(
         Points of C(t), a Moving set, at these.
     """
     data = motion(norms.process.C)
-    for parts in PARTS_OF_ROWS if data.offsets else (1,):
+    for parts in PARTS_IF_EMPTY if data.offsets or not data.summands else (1,):
         model, reason = _model(norms, data, nodes, variation, speed, members, parts)
         # coefficients of a polynomial may be offsets of no set on long steps
         with suppress(EmptySetError, TouchingError):
@@ -264,7 +265,7 @@ def _model(
         intervals = smooth_intervals(data.histories, nodes.t, parts if sharp else PARTS_OF_STEP)
         summands = [(scale, [S]) for scale, S in data.summands]
         return _Model(data, intervals, summands, np.zeros(len(intervals.step)), points), reason
-    model = _on_steps(process, nodes)
+    model = _on_steps(process, nodes, parts)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         if variation is None and not reason:
             known = zip(nodes.t[1:].tolist(), [] if members is None else members, strict=False)
@@ -279,9 +280,9 @@ def _model(
     return model, "" if all(S.certifiable for S in shapes) else reason
 
 
-def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
+def _on_steps(process: SweepingProcess, nodes: Nodes, parts: int = 1) -> _Model:
     """That of a C(t) of which nothing is known between samples."""
-    steps = smooth_intervals(histories_of(process.C, inside=False), nodes.t)
+    steps = smooth_intervals(histories_of(process.C, inside=False), nodes.t, parts)
     distance = np.zeros(len(steps.step))
     return _Model(Motion((), TimeFunction((), process.dim)), steps, [], distance)
 
