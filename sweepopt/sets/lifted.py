@@ -49,12 +49,6 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-# Multipliers of sets that touch have no bound: 1e3 times |v - w| where no projection is exact. Of a
-# flat and a round set that overlap by d of their size they are |v - w| / sqrt(d). What an exact
-# projection says of its rounding is right to first order, while d is known to 4 digits.
-TENSION = 1e3
-TENSION_EXACT = 1e6
-
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
 REMOTE = 2.0**200
 REFLECTIONS = 10  # in each of two sets: they end in 199 of 211 random C & D, many nearly touching
@@ -197,11 +191,10 @@ class Lifted(ConvexSet):
 
     def _projection(self, v: Array, start: Start | None = None) -> Projection:
         near = self._projector(v.copy(), start)
-        limit = TENSION_EXACT if near.exact else TENSION
         cut = self._cut and self.lifted.small
         # a polyhedron's is linear in the data, however large its multipliers are
         sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
-        if cut and not sure and near.splitting.is_tense(near, limit):
+        if cut and not sure and near.splitting.is_tense(near):
             raise TouchingError(
                 "C & D: the two sets only touch, or miss each other, so that rounding "
                 "hides the projection; give what they share as a set of its own, a Point "
@@ -231,8 +224,9 @@ class Lifted(ConvexSet):
         if self._beside is None or rows or not self.lifted.small:
             return False
         p, splitting = self._beside.v - self._beside.w, self._beside.splitting
-        n_and_sizes = splitting.normals(p, self._beside.image - self._beside.s)
-        n, sizes = (splitting.units * x for x in n_and_sizes)
+        n, sizes = splitting.normals(splitting.E.T @ p, self._beside.image - self._beside.s)
+        sizes = splitting.units * (sizes + np.abs(splitting.E.T) @ np.abs(p))
+        n = splitting.units * n
         most = self.part.support(n) + 10 * ROUNDING * euclidean(sizes) * self.part.magnitude()
         rounding = 10 * ROUNDING * float(np.abs(p) @ np.abs(w))
         return bool(p @ w - most > distance * euclidean(p) + rounding)

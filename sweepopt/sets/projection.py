@@ -35,7 +35,13 @@ from sweepopt.sets.shapes import Box
 NEWTON_STEPS = 25  # from a start, and for each of as many proximal points
 GROWTH = 4.0  # of the proximal parameter after each
 REGULAR = 1e-3  # multiple of 1 in the Hessian, for a gradient as large as what it adds up
+TINY = np.finfo(float).tiny  # 0 / TINY = 0
 SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as many
+# Multipliers of sets that touch have no bound: 1e3 times |v - w| where no projection is exact. Of a
+# flat and a round set that overlap by d of their size they are |v - w| / sqrt(d). What an exact
+# projection says of its rounding is right to first order, while d is known to 4 digits.
+TENSION = 1e3
+TENSION_EXACT = 1e6
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 
 Map = Callable[[Array], Array]
@@ -113,32 +119,77 @@ class Projector:
         return self.splitting(unit).projection(v, unit * s - n / unit, size)
 
 
+class NearestPair(NamedTuple):
+    """About z, the points of the parts, and the normals that add up to -z.
+
+    If they are known to rounding, w is the point of C, and `perturbation` how far the pair is from
+    an exact one, in |.|_M and |.|_{M^-1} together; inf where rounding hides that.
+    """
+
+    z: Array
+    start: Start
+    w: Array | None
+    perturbation: float
+
+
 class InMetric:
     """For the z with -z in N_C(M z + q): M z + q is the point of C nearest to q in that of M^-1.
 
-    With M = L L^T it is L w, w the point of L^-1 C nearest to L^-1 q.
+    With M = u L L^T it is L w, w the point of L^-1 C nearest to L^-1 q. The unit u is that of M: as
+    forces of other units than the points of C normals would be rounding beside these.
     """
 
     def __init__(self, C: ConvexSet, M: Array) -> None:
-        form, self._inverse = C.form(), _inverse_root(M)
-        self._E = form.E
-        self._projector = Projector(form._replace(E=self._inverse @ dense(form.E)))
+        form, (self._unit, self._inverse) = C.form(), _inverse_root(M)
+        self._E, self._polyhedral = dense(form.E), C.polyhedral
+        self._alone, self._sums = _normals_of(self._E, dense(form.F))
+        self._projector = Projector(form._replace(E=self._inverse @ self._E))
 
-    def __call__(self, q: Array, start: Start | None) -> tuple[Array, Start, Array | None]:
-        """About z, the points of the parts, and the normals that add up to -z.
+    def __call__(self, q: Array, start: Start | None, proved: bool) -> NearestPair:
+        """Without a proof there is no perturbation."""
+        v, u = self._inverse @ q, self._unit
+        near = self._projector(v, start and Start(start.s, u * start.n))
+        p, (s, n) = self._inverse.T @ (v - near.w), near.start
+        perturbation, w = np.inf, self._E @ s if near.exact else None
+        if near.exact and proved:
+            rests = (self._alone & (n == 0)).any(axis=1)
+            rests |= ~(self._sums & np.append(n != 0, True)).any(axis=1)
+            p[rests | (np.abs(p) <= ROUNDING * np.abs(p).max())] = 0.0
+            perturbation = self._perturbation(near, p)
+        return NearestPair(0.0 - p / u, Start(s, n / u), w, perturbation)
 
-        And the point of C, if they are known to rounding.
-        """
-        v = self._inverse @ q
-        near = self._projector(v, start)
-        w = self._E @ near.start.s if near.exact else None
-        return self._inverse.T @ (near.w - v), near.start, w
+    def _perturbation(self, near: Projection, p: Array) -> float:
+        """From E, not from L^-1 E, which is rounded: that only weighs what is left of it."""
+        splitting = near.splitting
+        E, sizes = self._E / splitting.units, np.abs(near.s) + splitting.rounding_scale(near.image)
+        shifts = splitting.shifts(near, E.T @ p, np.abs(E.T) @ np.abs(p))
+        if shifts is None or (not self._polyhedral and splitting.is_tense(near)):
+            return np.inf
+        of_w = np.abs(self._inverse) @ (ROUNDING / 4 * np.abs(E) @ sizes)
+        # the pair is that of w + M p, w and p are shifted alike, and p counts twice
+        return (3 * euclidean(shifts) + euclidean(of_w)) / np.sqrt(self._unit)
 
 
 @once
-def _inverse_root(M: Array) -> Array:
-    """L^-1 of M = L L^T."""
-    return np.linalg.inv(np.linalg.cholesky(M))
+def _inverse_root(M: Array) -> tuple[float, Array]:
+    """A power of two u and L^-1 of M = u L L^T."""
+    unit = binary(float(M.diagonal().mean()))
+    return unit, np.linalg.inv(np.linalg.cholesky(M / unit))
+
+
+@once
+def _normals_of(E: Array, F: Array) -> tuple[Array, Array]:
+    """Of E^T p - F^T lam = n: which n_j are p_i alone but for a factor, and which ones p_i adds up.
+
+    A last column says where the n_j do not know p_i.
+    """
+    alone = (E != 0) & ~F.any(axis=0) & (np.count_nonzero(E, axis=0) == 1)
+    columns = np.vstack([E, F])
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), TINY)
+    inverse = np.linalg.pinv(columns.T)
+    unknown = np.abs(inverse @ columns.T - np.eye(len(columns))).max(axis=1) > REGULAR
+    sums = np.abs(inverse) > RANK * np.abs(inverse).max(axis=1, keepdims=True)
+    return alone, np.column_stack([sums, unknown])[: len(E)]
 
 
 class Splitting:
@@ -306,41 +357,47 @@ class Splitting:
         w, rounding = self.E @ s, ROUNDING * size * self._sums[0]
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
-    def normals(self, p: Array, n: Array) -> tuple[Array, Array]:
-        """E^T p - F^T lam, next to normals n, and the sizes of what is added."""
-        pull = self.E.T @ p
+    def normals(self, pull: Array, n: Array) -> tuple[Array, Array]:
+        """E^T p - F^T lam of a pull E^T p, next to normals n, and the sizes of F^T lam."""
         multipliers = self._multipliers @ (pull - n)
-        sizes = np.abs(self.E.T) @ np.abs(p) + np.abs(self.F.T) @ np.abs(multipliers)
-        return pull - self.F.T @ multipliers, sizes
+        return pull - self.F.T @ multipliers, np.abs(self.F.T) @ np.abs(multipliers)
 
-    def is_tense(self, near: Projection, times: float) -> bool:
-        """Whether multipliers of F s = 0 are so many times as large as v - w, as forces on parts.
+    def is_tense(self, near: Projection) -> bool:
+        """Whether multipliers of F s = 0 are many times as large as v - w, as forces on parts.
 
         They have no bound where the parts meet in no interior point.
         """
-        p = near.v - near.w
-        pull, (n, _) = self.E.T @ p, self.normals(p, near.image - near.s)
-        return euclidean(pull - n) > times * euclidean(pull)
+        pull = self.E.T @ (near.v - near.w)
+        n, _ = self.normals(pull, near.image - near.s)
+        return euclidean(pull - n) > (TENSION_EXACT if near.exact else TENSION) * euclidean(pull)
 
     def perturbation(self, near: Projection, p: Array) -> Perturbation | None:
         """How far w = E s and p are from the projection of w + p and its normal, to first order.
 
         None where parts have no derivative.
         """
+        shifts = self.shifts(near, self.E.T @ p, np.abs(self.E.T) @ np.abs(p))
+        if shifts is None:
+            return None
+        sizes = np.abs(near.s) + self.rounding_scale(near.image)
+        of_w = np.abs(near.w - self.E @ near.s) + ROUNDING / 4 * np.abs(self.E) @ sizes
+        return Perturbation(shifts + of_w, shifts)
+
+    def shifts(self, near: Projection, pull: Array, sizes: Array) -> Array | None:
+        """How far E s is from the projection of E s + p, of the pull E^T p and what it adds up."""
         D = self.derivative_of_parts(near.image)
         if D is None:
             return None
         response = self._response(D)
-        some = float(p.any())  # 0 is normal everywhere
+        some = float(pull.any())  # 0 is normal everywhere
         s, F, scale = near.s, self.F, self.rounding_scale(near.image)
-        n, sizes = some * (near.image - s), np.abs(s) + scale
-        normals, forces = self.normals(p, n)
+        n = some * (near.image - s)
+        normals, forces = self.normals(pull, n)
         off = response @ np.concatenate([normals - n, -F @ s])
-        rounding = ROUNDING / 4 * np.concatenate([forces + some * scale, np.abs(F) @ sizes])
+        rounding = [sizes + forces + some * scale, np.abs(F) @ (np.abs(s) + scale)]
         # what is known adds up, what is rounding adds up as the root of squares
-        shifts = np.abs(off) + np.sqrt(((response * rounding) ** 2).sum(axis=1))
-        of_w = np.abs(near.w - self.E @ s) + ROUNDING / 4 * np.abs(self.E) @ sizes
-        return Perturbation(shifts + of_w, shifts)
+        rounded = response * (ROUNDING / 4 * np.concatenate(rounding))
+        return np.asarray(np.abs(off) + np.sqrt((rounded**2).sum(axis=1)))
 
     def derivative(self, near: Projection) -> Array | None:
         """dw/dv."""

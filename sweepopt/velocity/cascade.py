@@ -84,8 +84,10 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         usable = math.isfinite(answer.z.dot(answer.z))
         known = answer.w if z is None else None  # a refined z needs N z + linear more sharply
         pair = None
-        if tol == math.inf and answer.normal and answer.w is not None:  # no solver is a proof
-            pair = Proposal(answer.z, answer.w)
+        unproved = tol == math.inf  # no solver is a proof
+        if answer.w is not None and answer.normal and (unproved or answer.perturbation < math.inf):
+            bound = 0.0 if unproved else answer.perturbation
+            pair = Proposal(answer.z, answer.w, 0.0, bound, size)
         elif usable:
             pair = pair_near(N, linear, S, answer.z, tol, size, known)
         if pair is None:

@@ -209,7 +209,8 @@ class Answer(NamedTuple):
 
     The multipliers y are not used; a solver of yours may give them. w is M z + q, if it is known.
     If `normal`, w is a point of C and -z is normal to C at w, both up to rounding; this is used
-    only where nothing is to be proved.
+    where nothing is to be proved, or with a bound of what the rounding moves w and z, in |.|_{M^-1}
+    and |.|_M, as of `Proposal`.
     """
 
     z: Array
@@ -218,6 +219,7 @@ class Answer(NamedTuple):
     status: str = ""
     w: np.ndarray | None = None
     normal: bool = False
+    perturbation: float = math.inf
 
 
 Solve = Callable[..., Answer]

@@ -78,9 +78,8 @@ class _Iteration:
     def __init__(self, program: VelocityProgram, max_iter: int) -> None:
         self._M, self._max_iter = program.M, max_iter
         # nothing rounds -z out of dom sigma if that is the whole space
-        self._proved = program.proved or not all(
-            math.isfinite(part.magnitude()) for part in program.cone.form().parts
-        )
+        self._bounded = math.isfinite(program.cone.magnitude())
+        self._proved = program.proved or not self._bounded
         self._z = np.zeros(self._M.dim)
         self._key: bytes = b""
         self._step: Callable[[Array, Array], Array] = lambda z, residual: z
@@ -91,25 +90,29 @@ class _Iteration:
         self._z = self._z if start is None else start
         near = not C.exact and C.block == C.dim and start is None
         if near:
-            self._z, w = self._nearest(q, C)
-            if w is not None:
-                return Answer(self._z, status="iterated", w=w, normal=True)
+            answer = self._nearest(q, C)
+            if answer is not None:
+                return answer
         # a start that is exact but for rounding may end with the first residual
         return self._iterate(q, C, stalled=int(near))
 
-    def _nearest(self, q: Array, C: ConvexSet) -> tuple[Array, Array | None]:
-        """About z, for a C whose own projection iterates: from one in the metric of M^-1.
+    def _nearest(self, q: Array, C: ConvexSet) -> Answer | None:
+        """The pair of a C whose own projection iterates: from one in the metric of M^-1.
 
-        If nothing is to be proved, also the point of C to which -z is normal, if it is known.
+        None where it is not known to rounding: then there is a start.
         """
         if self._metric[0] is not C:
             self._metric = C, InMetric(C, dense(self._M.M))
-        z, self._start, member = self._metric[1](q, self._start)
-        if member is None or self._proved:
-            member, T = None, C.weights(self._M.diagonal)  # all equal: C is one block
-            w, _ = self._M.apply(z, q, NEGLIGIBLE)
-            C.start_at(w - T * z, self._start.s, T[0] * self._start.n)
-        return z, member
+        near = self._metric[1](q, self._start, self._proved)
+        self._z, self._start = near.z, near.start
+        known = near.perturbation < math.inf if self._proved else near.w is not None
+        if known and self._bounded:
+            bound = near.perturbation
+            return Answer(near.z, status="iterated", w=near.w, normal=True, perturbation=bound)
+        T = C.weights(self._M.diagonal)  # all equal: C is one block
+        w, _ = self._M.apply(near.z, q, NEGLIGIBLE)
+        C.start_at(w - T * near.z, near.start.s, T[0] * near.start.n)
+        return None
 
     def _iterate(self, q: Array, C: ConvexSet, stalled: int) -> Answer:
         """Newton steps until z is exact to rounding.
