@@ -184,6 +184,17 @@ def test_an_empty_intersection_is_refused_however_small_the_gap(gap, parts):
             (C & D).require_nonempty()
 
 
+@pytest.mark.parametrize("gap", [-1e-12, 7.3e-12])
+def test_an_intersection_is_called_empty_only_if_that_is_proved(gap):
+    M = np.array([[-12.0, 24, -4], [-4, 11, -2], [-3, -11, 4]])
+    g = np.array([4.0, 8, 13])
+    width = np.linalg.norm(M.T @ g)
+    C = so.image(M, so.Ball(np.zeros(3), 1.0)) & so.HalfSpace(g, -(1 + gap) * width)
+    error, words = (so.EmptySetError, "empty") if gap > 0 else (so.TouchingError, "in rounding")
+    with pytest.raises(error, match=words):
+        C.require_nonempty()
+
+
 def test_a_polyhedron_around_0_is_not_empty_in_any_units():
     for seed in range(20):
         rng = np.random.default_rng(seed)

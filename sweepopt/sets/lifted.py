@@ -43,6 +43,7 @@ from sweepopt.sets.curves import basis
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.programs import normal_by_program, support_by_program
 from sweepopt.sets.projection import Projection, Projector, Start
+from sweepopt.sets.separation import is_separated
 from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
@@ -51,6 +52,10 @@ if TYPE_CHECKING:
 
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
 REMOTE = 2.0**200
+REMEDY = (
+    "give what they share as a set of its own, a Point for example, or let them overlap by 1e-8 of "
+    "their size"
+)
 REFLECTIONS = 10  # in each of two sets: they end in 199 of 211 random C & D, many nearly touching
 AHEAD = 1e3  # times the size of C & D: how far along p the point is that is projected
 
@@ -189,16 +194,15 @@ class Lifted(ConvexSet):
     def start_at(self, v: Array, s: Array, n: Array) -> None:
         self._last = v.tobytes(), self._projection(v, Start(s, n))
 
-    def _projection(self, v: Array, start: Start | None = None) -> Projection:
-        near = self._projector(v.copy(), start)
+    def _projection(self, v: Array, start: Start | None = None, patient: bool = True) -> Projection:
+        near = self._projector(v.copy(), start, patient)
         cut = self._cut and self.lifted.small
         # a polyhedron's is linear in the data, however large its multipliers are
         sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
         if cut and not sure and near.splitting.is_tense(near):
             raise TouchingError(
-                "C & D: the two sets only touch, or miss each other, so that rounding "
-                "hides the projection; give what they share as a set of its own, a Point "
-                "for example, or let them overlap by 1e-8 of their size"
+                f"C & D: the two sets only touch, or miss each other, so that rounding hides the "
+                f"projection; {REMEDY}"
             )
         return near
 
@@ -365,25 +369,27 @@ class Lifted(ConvexSet):
         elif self.operands and not isinstance(self, Intersection):
             for C in self.operands:
                 C.require_nonempty(where)
-        elif self._cut and self.certifiable and self._is_empty():
-            raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+        elif self._cut and self.certifiable:
+            self._require_point(where)
 
-    def _is_empty(self) -> bool:
+    def _require_point(self, where: str) -> None:
+        """Refuse C if it is proved to be empty, or if no point of it is found either."""
+        origin = np.zeros(self.dim)
         with contextlib.suppress(TouchingError):  # or do not meet
-            if self._pair(np.zeros(self.dim)) is not None:
-                return False
-        return self._separated()
-
-    def _separated(self) -> bool:
-        """Whether 0 is not in F S: the half-space of the nearest point there proves it."""
+            if self._projection(origin, patient=False).exact:
+                return
         residuals = Lifted(Form.alone(self.part).image(self.lifted.F))
-        near = residuals.near(np.zeros(residuals.dim))
-        size = float(np.abs(np.append(near.start.s, self.part.offsets)).max(initial=0.0))
-        rounding, distance = 10 * ROUNDING * size, float(np.linalg.norm(near.w))
-        if near.exact and distance <= rounding:
-            return False
-        support = residuals.support(-near.w)
-        return support < -rounding * distance or (near.exact and support == math.inf)
+        separated = is_separated(residuals.lifted, residuals._projection)
+        if separated:
+            raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+        if separated is not None:
+            return
+        with contextlib.suppress(TouchingError):
+            if self.near(origin).exact:
+                return
+        raise TouchingError(
+            f"{where}: whether the sets of C & D meet is lost in rounding; {REMEDY}"
+        )
 
 
 @once
@@ -458,16 +464,16 @@ class Intersection(Lifted):
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))
         return None
 
-    def _is_empty(self) -> bool:
+    def _require_point(self, where: str) -> None:
         # projections, then reflections, in one set after the other: a common point proves more than
         # a projection on C & D does from afar, which takes 4 ms for two balls and these 0.1
         v = self.operands[0].anchor
         for k in range(REFLECTIONS if all(C.exact for C in self.operands) else 0):
             if self._pair_of_one(v) is not None:
-                return False
+                return
             for C in self.operands:
                 v = (2 if k else 1) * (C.project(v) - v) + v
-        return super()._is_empty()
+        super()._require_point(where)
 
     def magnitude(self) -> float:
         # the 2 dim supports of a polyhedron take longer than a projection

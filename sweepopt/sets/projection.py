@@ -91,13 +91,16 @@ class Projector:
         units = np.array([binary(size) for size in np.sqrt(weights).tolist()])
         self.splitting = lru_cache(16)(lambda unit: Splitting(form, unit * units))
 
-    def __call__(self, v: Array, start: Start | None = None) -> Projection:
-        """The projection of v, as exactly as it is found; without a start from where v pulls 0."""
+    def __call__(self, v: Array, start: Start | None = None, patient: bool = True) -> Projection:
+        """The projection of v, as exactly as it is found; without a start from where v pulls 0.
+
+        Without patience from the start alone.
+        """
         plain = self.splitting(1.0)
         if start is None:
             s = plain.projected(plain.E.T @ v)
             start = Start(s, plain.E.T @ (v - plain.E @ s)).scaled(1 / plain.units)
-        for point in chain([start], plain.proximal_points(v, start)):
+        for point in chain([start], plain.proximal_points(v, start) if patient else ()):
             near = self._from(v, point)
             if near.exact:
                 break

@@ -1,0 +1,81 @@
+"""Whether a hyperplane proves that { s in S : F s = 0 } has no point.
+
+0 is not in F S if there is a p with <p, F s> < 0 for all s in S. Near the projection w of v on F S
+p = v - w is as large on w as anywhere in F S, up to what rounds in it, so that <p, w> < 0 by more
+than that proves it. What rounds in p is least from afar, and where F S is curved the normal of the
+point next to 0 is found from near: v goes away from 0 step by step, along the last p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from sweepopt.checks import Array
+from sweepopt.errors import SweepoptError
+from sweepopt.linalg import dense, euclidean
+from sweepopt.sets.base import DENSE, RANK, ROUNDING, ConvexSet, Form, placed
+from sweepopt.sets.projection import Projection, Start
+
+AWAY = 2.0 ** np.array([-20, -20, -14, -7, 0])  # of the width of F S
+SEEN = 1e6  # where all parts are unbounded, of the size of what is seen: as far as it is proved
+
+
+def is_separated(form: Form, project: Callable[[Array, Start | None], Projection]) -> bool | None:
+    """Whether 0 is proved to be outside of F S; None if to rounding no s in S has F s = 0 either.
+
+    Parameters
+    ----------
+    form : Form
+        F S, without rows of its own.
+    project : callable
+        The projection on it, from a start.
+    """
+    near, widths = project(np.zeros(form.E.shape[0]), None), _widths(form.parts)
+    sizes = [np.abs(part.offsets).max(initial=0.0) for part in form.parts]
+    known = np.isfinite(widths)
+    width = euclidean(abs(form.E[:, known]) @ widths[known]) or 1.0
+    p = -near.w
+    for away in AWAY:
+        size = max(np.abs(near.start.s).max(), *sizes)
+        if near.exact and euclidean(near.w) <= 10 * ROUNDING * size:
+            return False
+        near = project(away * width / euclidean(p) * p, near.start)
+        p = near.v - near.w
+        if p @ near.w < -_rounding(near, widths * near.splitting.units):
+            return True
+    return None
+
+
+def _widths(parts: Sequence[ConvexSet]) -> Array:
+    """sigma(S, e) + sigma(S, -e) along the axes e of the parts; inf where it is not known."""
+    widths = np.full(sum(part.dim for part in parts), np.inf)
+    for part, at in placed(parts):
+        axes = np.eye(part.dim)
+        with suppress(SweepoptError):  # needles
+            widths[at] = part.support_rows(axes) + part.support_rows(-axes)
+    return widths
+
+
+def _rounding(near: Projection, widths: Array) -> float:
+    """What <p, F s> may be beyond <p, w>, for all s in S that may have F s = 0.
+
+    A part's point s_i and normal n_i = x_i - s_i are the projection of x_i to rounding, so that
+    <n_i, s - s_i> <= 0 to rounding; F_i^T p - n_i acts on no more than the width of S_i. Parts
+    without a width have one where the others move in their bounds and F s = 0.
+    """
+    splitting, s, p = near.splitting, near.s, near.v - near.w
+    n, scale = near.image - s, splitting.rounding_scale(near.image)
+    E, free = splitting.E, np.isinf(widths)
+    if free.any():
+        widths[free] = SEEN * max(np.abs(s).max(), scale.max())
+        if not free.all() and free.sum() <= DENSE:
+            sizes = np.linalg.svd(dense(E[:, free]), compute_uv=False)
+            moved = euclidean(near.w) + euclidean(abs(E[:, ~free]) @ widths[~free])
+            if sizes.size == free.sum() and sizes[-1] > RANK * sizes[0]:
+                widths[free] = moved / sizes[-1]
+    off = np.abs(n - E.T @ p) + ROUNDING / 4 * scale
+    of_w = ROUNDING / 4 * np.abs(p) @ (abs(E) @ (np.abs(s) + scale))
+    return float(ROUNDING / 4 * scale @ np.abs(n) + off @ widths + of_w)
