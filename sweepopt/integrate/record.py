@@ -238,7 +238,7 @@ class Run:
     def add(self, u: Array, velocity: Velocity, seconds: float, compensation: Any = 0.0) -> None:
         """Take the next step: the state at its end, its mean velocity with what is known of it."""
         i, k, *_ = self._last
-        z, certificate, relative, solver, iterations, attempts, _ = velocity
+        z, certificate, relative, solver, iterations, attempts, *_ = velocity
         number = self._solvers.setdefault(solver, len(self._solvers))
         self._rows[i] = (
             self._ends[i + 1],

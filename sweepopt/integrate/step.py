@@ -62,7 +62,8 @@ class Velocities:
         First in the parts between the breakpoints, if there are any. Their matrices, one for each
         length, are not kept. A step that misses its tolerance as a whole is tried in 2, 4, .. equal
         parts, until all of them meet it: A + gamma mu / k B is nearer to A, and C(t) is asked for
-        at other times. Sets that only touch in halves of the step, too, do so in smaller parts.
+        at other times. Sets that only touch in halves of the step, too, do so in smaller parts, and
+        what rounds in a normal pair does not fall with the step.
         """
         work: Stages = []
         if breakpoints:
@@ -74,7 +75,7 @@ class Velocities:
                 return Step(mean)
         whole, cause = self._mean(t, mu, u), ""
         work.append(whole)
-        for count in PARTS if whole.relative > self._plan.tol else ():
+        for count in PARTS if whole.relative > self._plan.tol and not whole.hidden else ():
             h = mu / count
             starts = t + h * np.arange(count)
             try:
@@ -217,6 +218,7 @@ def _mean(weights: Sequence[float], velocities: Stages, work: Stages | None = No
         velocities[-1].solver,
         sum(one.iterations for one in work or velocities),
         sum(attempts) if work else max(attempts),
+        hidden=any(one.hidden for one in velocities),
     )
 
 

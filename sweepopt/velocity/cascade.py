@@ -299,8 +299,8 @@ class Cascade:
                 if not (attempt.from_best and best.relative < math.inf):  # else it is improved
                     solver = attempt.solver.name
                 best = velocity
-            if not best.relative > tol:
+            if not best.relative > tol or velocity.hidden:
                 break
             if count == 1 and inclusion.rests_exactly(of):
                 return at_rest(of.q)
-        return Velocity(best.z, best.certificate, best.relative, solver, iterations, count)
+        return best._replace(solver=solver, iterations=iterations, attempts=count, w=None)
