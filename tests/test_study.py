@@ -412,6 +412,10 @@ def test_the_next_halving_is_cheapest_along_the_axis_of_the_least_cost():
     table = pd.DataFrame([modelled(k, n, 1e-6) for k in (0, 1) for n in (14, 20, 40, 80)])
     stuck = halving(table).query("steps == 14 and refinements == 0").iloc[0]
     assert (stuck["more steps"], stuck.cheapest) == (np.inf, "a finer mesh")
+    # neither alone lessens the error
+    errors = {(10, "P1"): 1.0, (10, "P2"): 1.0, (20, "P1"): 1.0, (20, "P2"): 0.3}
+    table = pd.DataFrame([row(e, n, steps=n, element=p) for (n, p), e in errors.items()])
+    assert list(halving(table).cheapest) == ["more steps and a higher degree", ""]
     # the words of the summary name the run and the way
     table = pd.DataFrame([modelled(0, n, 1e-6, e) for n in (10, 80) for e in ("P1", "P2")])
     shown = [line.split() for line in summary(table).splitlines()]

@@ -108,8 +108,9 @@ def halving(table: DataFrame) -> DataFrame:
     pandas DataFrame
         A row a run, with its columns, one for each axis in `AXES` called "more steps"
         for example: the factor of the time, inf where the error hardly falls, here or before it
-        is half, nan where no next run was measured; and `cheapest`, the axis of the least factor,
-        "" if all are above 100.
+        is half, nan where no next run was measured; and `cheapest`, the axis of the least factor.
+        If all are above 100, it names the axes that have half the error together, in the fastest
+        run further along, "" if there is none.
     """
     require_columns(table, CellRow._fields)
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
@@ -131,8 +132,24 @@ def halving(table: DataFrame) -> DataFrame:
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
     best = cells[cells.error < 0.9 * faster].sort_values("problem", kind="stable")
     possible = best[list(AXES)].fillna(np.inf)
-    cheapest = possible.idxmin(axis="columns").where(possible.min(axis="columns") <= HARDLY, "")
-    return best.assign(cheapest=cheapest)
+    together = [_axes_together(known, run) for run in best.index]
+    alone = possible.min(axis="columns") <= HARDLY
+    return best.assign(cheapest=possible.idxmin(axis="columns").where(alone, together))
+
+
+def _axes_together(cells: DataFrame, run: Any) -> str:
+    """Along which axes the fastest run with half the error of this one is further."""
+    same = ["problem", "scheme", "solver"]
+    steps = DataFrame(
+        {
+            words: cells[axis].rank(method="dense", ascending=not smaller).fillna(0)
+            for words, (axis, smaller) in AXES.items()
+        }
+    )
+    steps -= steps.loc[run]
+    further = (cells[same] == cells.loc[run, same]).all(axis=1) & (steps >= 0).all(axis=1)
+    halved = steps[further & (cells.error <= cells.error[run] / 2)]
+    return "" if halved.empty else " and ".join(halved.columns[halved.iloc[0] > 0])
 
 
 def readable(cells: DataFrame, *columns: str) -> DataFrame:
