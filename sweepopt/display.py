@@ -91,7 +91,8 @@ if TYPE_CHECKING:
     from dataclasses import dataclass as record
 else:
     record = partial(dataclass, frozen=True, eq=False, repr=False)
-"""A dataclass of `Brief` things: its arrays have no one answer to ==, and it shows itself."""
+"""Makes a dataclass of a `Brief` class: it is equal to itself alone, as == of arrays has no one
+answer, and its representation is that of `Brief`."""
 
 
 class Brief:
