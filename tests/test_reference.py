@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import slope, slow, worst_certificate
+from cases import Spiral, slope, slow, worst_certificate
 from reference_cases import GRIDS, SETS, case
 
 import sweepopt as so
@@ -114,3 +114,11 @@ def test_dissipated_plus_stored_energy_is_the_work_done_to_first_order(name):
         imbalance.append(np.abs(energy.balance).max() / energy.work.max())
     assert slope(SOME, imbalance) >= 0.9
     assert imbalance[-1] <= 0.05
+
+
+def test_a_spiral_varies_at_most_as_it_says():
+    """The history of B14, a user's own."""
+    history = Spiral(0.8, 2.0, 0.0)
+    for a, b in ((0.0, 6.0), (1.0, 1.5), (5.9, 6.0)):
+        sampled = np.abs(np.diff(history(np.linspace(a, b, 20_001)))).sum()
+        assert sampled <= history.variation(a, b) <= 2.2 * sampled
