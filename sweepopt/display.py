@@ -2,18 +2,18 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from html import escape
 from inspect import isroutine, signature
 from itertools import cycle
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
 
 from sweepopt.errors import InputError
 
 Rows = Iterable[tuple[str, object]]
+Made = TypeVar("Made")
 COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#0072B2")
 """Told apart with every common colour vision (Okabe and Ito)."""
 FORMAT: Any = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
@@ -87,12 +87,10 @@ def by_parts(thing: Any) -> str:
     return fill(text, 100, subsequent_indent="    ", max_lines=8, break_long_words=False)
 
 
-if TYPE_CHECKING:
-    from dataclasses import dataclass as record
-else:
-    record = partial(dataclass, frozen=True, eq=False, repr=False)
-"""Makes a dataclass of a `Brief` class: it is equal to itself alone, as == of arrays has no one
-answer, and its representation is that of `Brief`."""
+@dataclass_transform(eq_default=False, frozen_default=True)
+def record(made: type[Made]) -> type[Made]:
+    """A dataclass of a `Brief` class: equal to itself alone, as == of arrays has no one answer."""
+    return dataclass(frozen=True, eq=False, repr=False)(made)
 
 
 class Brief:
