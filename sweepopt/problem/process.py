@@ -387,6 +387,9 @@ class SweepingProcess(Displayed):
     def check_jumps(self, start: float, end: float) -> None:
         """Look for finite jumps of center(t), scale(t) and h(t) that are data, between two times.
 
+        A table jumps between times that are no further apart than 1e-6 of its length and 1e-3 of
+        the intervals beside.
+
         Warns
         -----
         VariationWarning
@@ -408,8 +411,9 @@ class SweepingProcess(Displayed):
 
         d_H(C(t), C(s)) <= v(t) - v(s). Of data, center(t), scale(t) and h(t) with histories that
         know their variation, it is the sum of those of all terms, whatever times lie between: exact
-        for one term that moves a translate or an interval, an upper bound for several. Else it is
-        the sum of the distances of C at neighbouring times, which a finer grid brings closer to it.
+        for one term that moves a translate or an interval, an upper bound for several, and for a
+        `Modulated` one, by the product rule. Else it is the sum of the distances of C at
+        neighbouring times, which a finer grid brings closer to it.
 
         Parameters
         ----------
