@@ -6,7 +6,7 @@ from html import escape
 from inspect import isroutine, signature
 from itertools import cycle
 from textwrap import fill
-from typing import Any, ClassVar, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
 
