@@ -161,9 +161,8 @@ def error_bound(
     trapezoidal rule with the middles of its steps: where C(t) is no data there is no other pass.
     Nor is there for sets that move separately and schemes of one stage, whose steps are in as many
     parts as WORK has programs: with two passes bounds were 1.2 (at most 2) times as loose.
-    Each pass bounds |u - v|, with the best curve on each step, and so the error; on each step the
-    smallest bound of all passes counts. The next pass has as many more steps as its goal needs, or
-    as WORK has left, where most of the bound of |u - v| arises.
+    Each pass bounds |u - v|, with the best curve on each step; on each step the smallest bound of
+    all counts. The next pass has as many more steps as its goal needs, or WORK has left.
     """
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > STIFF
@@ -174,7 +173,7 @@ def error_bound(
     separate = not (data.summands or variation or unknown(process.C, data, float(run.t[0])))
     kind = 3 - moves_straight(process.C) if separate else kind
     work = WORK[kind] * _moving(run, separate) * len(plan.scheme.b)
-    one_pass = separate and len(plan.scheme.b) == 1
+    parts = WORK[kind] if separate and len(plan.scheme.b) == 1 else 1 if stiff else 2
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
@@ -183,7 +182,6 @@ def error_bound(
     cuts = breakpoints(histories_of(process.C, inside=False), run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     long = np.diff(t) > TIME_SLACK * np.abs(t).max()  # others end at a node but for rounding
-    parts = WORK[kind] if one_pass else 1 if stiff else 2
     t = divided(t, np.where(long, parts, 1))
     ends = norms.A(run.u)
     largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
