@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import tqdm.auto
 from cases import SQUARE, block, isotropic, random_process, refuses, slope, worst_certificate
 from reference_cases import GRIDS, REFERENCE, case
 
@@ -424,3 +425,18 @@ def test_multipliers_of_nearly_dependent_rows_are_no_stall():
         found = exact(process, 5.0)
     assert len(found.phases) < 20
     assert residual(process, found, np.linspace(1e-3, 4.999, 200)) <= 1e-9
+
+
+def test_progress_of_one_long_step_moves_with_its_phases(monkeypatch):
+    seen = []
+
+    class Bar(tqdm.auto.tqdm):
+        def update(self, n=1):
+            seen.append(self.n + n)
+            return super().update(n)
+
+    monkeypatch.setattr(tqdm.auto, "tqdm", Bar)
+    process = isotropic(so.Moving(so.Box(-1, 1), SLIDING))
+    sol = so.solve(process, t_end=5.0, steps=1, scheme="exact", progress=True)
+    assert seen[:-1] == pytest.approx(sol.exact.starts[1:] / 5.0)
+    assert seen[-1] == 1.0

@@ -130,14 +130,17 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
 
 @contextmanager
 def progress_bar(visible: bool, run: Run) -> Iterator[Callable[[], Any] | None]:
-    """What moves a bar by a step; None where it shall not be seen."""
+    """What moves a bar by a step; None where it shall not be seen, or phases move it."""
     if not visible:
         yield None
         return
     from tqdm.auto import tqdm
 
-    with tqdm(total=run.steps, initial=run.done, unit="step") as bar:
-        yield bar.update
+    exact = run.plan.scheme.exact
+    with tqdm(total=run.steps, initial=run.done, unit="step", unit_scale=exact) as bar:
+        if exact:
+            run.advance = lambda done: bar.update(done - bar.n)
+        yield None if exact else bar.update
 
 
 def observer(

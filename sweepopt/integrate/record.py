@@ -205,6 +205,9 @@ class Run:
         self.recorded: list[Any] = []
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.exact: Trajectory | None = None
+        self.advance: Callable[[float], Any] | None = (
+            None  # to so many steps, of which phases are parts
+        )
         # written to, all of it is in memory from here on: a run grows by nothing later
         self._rows, self._ends = np.full(len(mus), 0, ROW), times.data  # gives floats of Python
         self._solvers: dict[str, int] = {}

@@ -260,6 +260,8 @@ def _nodes(rows: Rows, run: Run) -> Iterator[tuple[Array, Array, list[Phase]]]:
     for phase in phases_of(rows, run.u, float(times[0]), float(times[-1])):
         phases.append(phase)
         run.exact = run.exact or Trajectory(phases, run.plan)
+        if run.advance is not None:
+            run.advance(run.steps * ((phase.end - times[0]) / (times[-1] - times[0])))
         # a node that rounding puts beside a breakpoint is that: the velocity before it is meant
         slack = checks.TIME_SLACK * abs(phase.end)
         end = int(np.searchsorted(times, phase.end + slack, side="right"))
