@@ -249,11 +249,24 @@ def intersect(C: ConvexSet, D: Any) -> Any:
         return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
     have_rows = (isinstance(shape_of(S), (Box, Polyhedron)) and not S.singleton for S in (C, D))
     if C.dim > ACTIVE_DIM or not all(have_rows):
-        C = Intersection(Form.common(C.form(), D.form()), C, D)
-        return nested(C, *C.operands)
+        return _with_one_polyhedron(C, D)
     (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
+
+
+def _with_one_polyhedron(C: ConvexSet, D: ConvexSet) -> ConvexSet:
+    """C & D, where (C & P) & Q = C & (P & Q) for polyhedra.
+
+    300 half-spaces one by one beside a ball took 21 s to project on, 1 s as one polyhedron.
+    """
+    if isinstance(C, Intersection) and isinstance(shape_of(D), Polyhedron):
+        flat = [S for S in C.operands if isinstance(shape_of(S), Polyhedron)]
+        others = [S for S in C.operands if not isinstance(shape_of(S), Polyhedron)]
+        if flat and others and C.dim <= ACTIVE_DIM:
+            return reduce(intersect, [*others, reduce(intersect, [*flat, D])])
+    C = Intersection(Form.common(C.form(), D.form()), C, D)
+    return nested(C, *C.operands)
 
 
 @partial(over_time, linear=True)
