@@ -794,7 +794,6 @@ TURNS = so.Table(np.linspace(0.0, 4.0, 9), [0.0, 2.0, -1.5, 1.0, 3.0, -2.0, 0.5,
         (TURNS, 0.0, 2.0, 0.0, 2, 0.1, 1000),
     ],
 )
-@pytest.mark.filterwarnings("ignore:C.t. jumps at t = 1")
 def test_an_error_is_delivered_by_few_steps(load, A, B, u0, steps, error, most):
     process = block(load, A, B, u0)
     sol = so.solve(process, t_end=4.0, steps=steps, error=error)

@@ -219,7 +219,7 @@ ROUNDED = so.Table([0, 0.2, 0.2 + 1e-13, *np.linspace(0.3, 2, 35)], [0, 0, *np.l
 JUMPS = [
     (so.Moving(so.Box(-1, 1), so.Separable([(STEP, 2), (SMOOTH, 1)])),
      r"C\(t\) jumps at t = 0\.7 by 2 \(center changes by 4\), in"),
-    (so.Moving(so.Box(-1, 1), so.Table([0, 0.7, 0.7 + 9e-6, 9], [0, 1, 3, 3])),
+    (so.Moving(so.Box(-1, 1), so.Table([0, 0.7, 0.7 + 9e-13, 9], [0, 1, 3, 3])),  # as errors advise
      r"C\(t\) jumps at t = 0\.7 by 1 \(center changes by 2\), in"),
     (so.Moving(so.Box(-1, 3), scale=so.Table([0, 0.6, np.nextafter(0.6, 1), 3], [1, 1, 2, 2])),
      r"jumps at t = 0\.6 by 1\.5 \(scale changes by 1\), in"),

@@ -24,8 +24,6 @@ from sweepopt.errors import InputError
 from sweepopt.io import read_columns
 from sweepopt.loads.history import Array, History, as_times, interval
 
-GAP = 1e-6  # of the length of a table: between its two times at a jump
-
 
 @record
 class Table(Brief, History):
@@ -87,17 +85,6 @@ class Table(Brief, History):
         with at_path(f"{path}: "):
             check_points("times", times, values, rows)
             return cls(times, factor * values)
-
-    def near_times(self) -> Array:
-        """Which of its times, all but the last, are so near to the next that it jumps there.
-
-        Within GAP of its length, and 1e-3 of the intervals before and after.
-        """
-        sizes = np.diff(self.times)
-        beside = np.pad(sizes, 1, constant_values=np.inf)
-        most = np.minimum(GAP * (self.times[-1] - self.times[0]), 1e-3 * beside[:-2])
-        near: Array = sizes <= 1.01 * np.minimum(most, 1e-3 * beside[2:])  # as they are rounded
-        return near
 
     def __call__(self, t: ArrayLike) -> Any:
         at = self._inside(t)
@@ -206,7 +193,7 @@ def check_points(
             f"values must have one axis, got shape {np.shape(values)}; rows of vectors are "
             "so.VectorTable(times, values)"
         )
-    sort = f"; sort the table, and leave a small gap at a jump, such as {GAP:.0e} of its length"
+    sort = "; sort the table, and leave a small gap at a jump, such as 1e-13 of its length"
     t, phi = increasing(name, times, sort, rows), entries("values", values)
     if phi.shape != t.shape:
         raise InputError(f"values has {phi.size} entries, {name} has {t.size}; give one each")

@@ -264,7 +264,7 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
 
     Functions of which nothing is known are not looked at: they may have values on the grid only.
     """
-    # between times that are the same to the library, or as near as tables have them at a jump
+    # between times that are the same to the library
     sentences, width = [], TIME_SLACK * max(abs(start), abs(end))
     moves = _moves(C, metric)
     if moves is None:  # such as an intersection: by how much is not known
@@ -272,38 +272,18 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
     for name, f, distance in moves:
         if not f.bounded:
             continue
-        # beside large terms that cannot jump others are rounded
-        each = [_steep(phi, start, end, width) for phi in f.histories]
-        if f.function is None:
-            kept = zip(f.terms, each, strict=True)
-            f = TimeFunction(tuple(term for term, of_term in kept if of_term.size), f.dim)
-        first, last = np.unique(np.vstack([np.empty((0, 2)), *each]), axis=0).T
-        last, more = np.maximum.accumulate(last), 7 * (last - first + width)
-        around = (first - width, last + width, first - width - more, last + width + more)
-        before, after, *wider = (f.at(np.clip(x, start, end)) for x in around)
-        change = np.linalg.norm(after - before, axis=1)
-        # what f changes by does not shrink with the time
-        steep = change > 0.5 * np.linalg.norm(wider[1] - wider[0], axis=1)
-        end_of_last = -np.inf
-        for k in np.flatnonzero(steep):
-            if first[k] > end_of_last + width:  # one of each cluster of breakpoints
-                t, end_of_last, size = first[k], last[k], distance(after[k] - before[k])
+        if f.function is None:  # beside large terms that cannot jump others are rounded
+            f = TimeFunction(tuple(term for term in f.terms if _may_jump(term[0], width)), f.dim)
+        last = -np.inf
+        for t in breakpoints([phi for phi in f.histories if _may_jump(phi, width)], start, end):
+            before, after, *around = f.at(np.clip(t + width * np.array([-1, 1, -8, 8]), start, end))
+            change = np.linalg.norm(after - before)
+            # one of each cluster of breakpoints: what f changes by does not shrink with the time
+            if t > last + width and change > 0.5 * np.linalg.norm(around[1] - around[0]):
+                size, last = distance(after - before), t
                 by = f"by {size:g}" if size < np.inf else "by an unknown distance"
-                sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change[k]:g})"))
+                sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
     return sorted(sentences)
-
-
-def _steep(history: Any, start: float, end: float, width: float) -> Array:
-    """The ends of the intervals within which a history may jump, shape (k, 2)."""
-    if isinstance(history, EXEMPT):
-        return np.empty((0, 2))
-    if not isinstance(history, Table):
-        points = breakpoints([history], start, end)
-        return np.column_stack([points, points])
-    times = history.times
-    near = history.near_times() | (np.diff(times) <= width)
-    near &= (times[1:] > start) & (times[:-1] < end)
-    return np.column_stack([times[:-1][near], times[1:][near]])
 
 
 def _functions(C: AnySet) -> Iterator[tuple[str, TimeFunction]]:
@@ -315,6 +295,12 @@ def _functions(C: AnySet) -> Iterator[tuple[str, TimeFunction]]:
     elif isinstance(C, MovingSet):
         for part in C.operands:
             yield from _functions(part)
+
+
+def _may_jump(history: Any, width: float) -> bool:
+    """Whether a history may change within so short a time."""
+    steep = not isinstance(history, Table) or np.diff(history.times).min() <= width
+    return bool(steep) and not isinstance(history, EXEMPT)
 
 
 def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
