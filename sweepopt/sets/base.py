@@ -430,6 +430,7 @@ class ConvexSet(Operators, ABC):
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
+    _start: Any = None  # of the next projection in the metric of a run
     _last: tuple[bytes, Any] = b"", None
 
     def __init_subclass__(cls) -> None:
@@ -476,8 +477,12 @@ class ConvexSet(Operators, ABC):
     # ---- what follows from it -----------------------------------------------------------------
 
     def copy_for_run(self, before: ConvexSet | None = None) -> ConvexSet:
-        """C for one run alone, after another one: `start_at` on it is not seen by others."""
-        return self if self.exact else copy.copy(self)
+        """C for one run alone, after another one: where its projections start others do not see."""
+        if self.exact:
+            return self
+        made = copy.copy(self)
+        made._start = before and before._start
+        return made
 
     def _memo(self, v: Array, function: Callable[[Array], Any]) -> Any:
         """function(v), kept for the last v: projection, derivative and pair ask in turn.

@@ -42,6 +42,7 @@ SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as 
 # projection says of its rounding is right to first order, while d is known to 4 digits.
 TENSION = 1e3
 TENSION_EXACT = 1e6
+TENSE = 2.0**-12  # of L^-1: normals 2^24 times as large as points, and more than TENSION_EXACT
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 
 Map = Callable[[Array], Array]
@@ -97,7 +98,7 @@ class Projector:
         Without patience from the start alone.
         """
         plain = self.splitting(1.0)
-        if start is None:
+        if start is None or start.s.size != plain.units.size:
             s = plain.projected(plain.E.T @ v)
             start = Start(s, plain.E.T @ (v - plain.E @ s)).scaled(1 / plain.units)
         for point in chain([start], plain.proximal_points(v, start) if patient else ()):
@@ -138,46 +139,65 @@ class NearestPair(NamedTuple):
 class InMetric:
     """For the z with -z in N_C(M z + q): M z + q is the point of C nearest to q in that of M^-1.
 
-    With M = u L L^T it is L w, w the point of L^-1 C nearest to L^-1 q. The unit u is that of M: as
-    forces of other units than the points of C normals would be rounding beside these.
+    With M = u L L^T it is L w, w the point of L^-1 C nearest to L^-1 q. The unit u is that of M:
+    normals are forces then, as points are, and neither is rounding beside the other. Those of parts
+    that hardly overlap are up to 1e6 times as large: then u is so much smaller.
     """
 
     def __init__(self, C: ConvexSet, M: Array) -> None:
-        form, (self._unit, self._inverse) = C.form(), _inverse_root(M)
-        self._E, self._polyhedral = dense(form.E), C.polyhedral
-        self._alone, self._sums = _normals_of(self._E, dense(form.F))
-        self._projector = Projector(form._replace(E=self._inverse @ self._E))
+        self._C, self._root, self._form, self._polyhedral = (
+            C,
+            _inverse_root(M),
+            C.form(),
+            C.polyhedral,
+        )
+        self._E = dense(self._form.E)
+        self._alone, self._sums = _normals_of(self._E, dense(self._form.F))
+        self._projector = lru_cache(2)(self._in_unit)
 
-    def __call__(self, q: Array, start: Start | None, proved: bool) -> NearestPair:
-        """Without a proof there is no perturbation."""
-        v, u = self._inverse @ q, self._unit
-        near = self._projector(v, start and Start(start.s, u * start.n))
-        p, (s, n) = self._inverse.T @ (v - near.w), near.start
+    def _in_unit(self, share: float) -> Projector:
+        return Projector(self._form._replace(E=share * self._root[1] @ self._E))
+
+    def __call__(self, q: Array, proved: bool) -> NearestPair:
+        """From the one before, of this set or another; without a proof there is no perturbation."""
+        pair = self._nearest(q, 1.0, proved)
+        if pair.w is None or (proved and pair.perturbation == np.inf):
+            other = self._nearest(q, TENSE, proved)
+            pair = other if other.w is not None and other.perturbation < np.inf else pair
+        self._C._start = pair.start
+        return pair
+
+    def _nearest(self, q: Array, share: float, proved: bool) -> NearestPair:
+        u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C._start
+        v = inverse @ q
+        near = self._projector(share)(v, start and Start(start.s, u * start.n))
+        p, (s, n) = inverse.T @ (v - near.w), near.start
         perturbation, w = np.inf, self._E @ s if near.exact else None
         if near.exact and proved:
             rests = (self._alone & (n == 0)).any(axis=1)
             rests |= ~(self._sums & np.append(n != 0, True)).any(axis=1)
             p[rests | (np.abs(p) <= ROUNDING * np.abs(p).max())] = 0.0
-            perturbation = self._perturbation(near, p)
+            perturbation = self._perturbation(near, p, u, inverse)
         return NearestPair(0.0 - p / u, Start(s, n / u), w, perturbation)
 
-    def _perturbation(self, near: Projection, p: Array) -> float:
+    def _perturbation(self, near: Projection, p: Array, u: float, inverse: Array) -> float:
         """From E, not from L^-1 E, which is rounded: that only weighs what is left of it."""
         splitting = near.splitting
         E, sizes = self._E / splitting.units, np.abs(near.s) + splitting.rounding_scale(near.image)
         shifts = splitting.shifts(near, E.T @ p, np.abs(E.T) @ np.abs(p))
         if shifts is None or (not self._polyhedral and splitting.is_tense(near)):
             return np.inf
-        of_w = np.abs(self._inverse) @ (ROUNDING / 4 * np.abs(E) @ sizes)
+        of_w = np.abs(inverse) @ (ROUNDING / 4 * np.abs(E) @ sizes)
         # the pair is that of w + M p, w and p are shifted alike, and p counts twice
-        return (3 * euclidean(shifts) + euclidean(of_w)) / np.sqrt(self._unit)
+        return (3 * euclidean(shifts) + euclidean(of_w)) / np.sqrt(u)
 
 
 @once
 def _inverse_root(M: Array) -> tuple[float, Array]:
-    """A power of two u and L^-1 of M = u L L^T."""
-    unit = binary(float(M.diagonal().mean()))
-    return unit, np.linalg.inv(np.linalg.cholesky(M / unit))
+    """A power of two u and L^-1 of M = u L L^T, L of a determinant near 1."""
+    root = np.linalg.cholesky(M)
+    size = binary(float(np.exp(np.log(root.diagonal()).mean())))
+    return size**2, size * np.linalg.inv(root)
 
 
 @once

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Array, Matrix
 from sweepopt.linalg import EPS, NEGLIGIBLE, dense, euclidean, factorised
-from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, Start, shape_of
+from sweepopt.sets import Blocks, ConvexSet, InMetric, Polyhedron, shape_of
 from sweepopt.velocity.energies import SAME_TANGENT
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
 
@@ -84,7 +84,6 @@ class _Iteration:
         self._key: bytes = b""
         self._step: Callable[[Array, Array], Array] = lambda z, residual: z
         self._metric: tuple[ConvexSet | None, Any] = None, None
-        self._start: Start | None = None
 
     def __call__(self, q: Array, C: ConvexSet, start: Array | None = None) -> Answer:
         self._z = self._z if start is None else start
@@ -103,8 +102,8 @@ class _Iteration:
         """
         if self._metric[0] is not C:
             self._metric = C, InMetric(C, dense(self._M.M))
-        near = self._metric[1](q, self._start, self._proved)
-        self._z, self._start = near.z, near.start
+        near = self._metric[1](q, self._proved)
+        self._z = near.z
         known = near.perturbation < math.inf if self._proved else near.w is not None
         if known and self._bounded:
             bound = near.perturbation
