@@ -464,6 +464,13 @@ class Intersection(Lifted):
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))
         return None
 
+    def is_beyond(self, w: Array, distance: float) -> bool:
+        """A point beyond one of the sets is beyond what they share."""
+        return any(
+            euclidean(C.normal(w)) > distance if C.exact else C.is_beyond(w, distance)
+            for C in self.operands
+        )
+
     def _require_point(self, where: str) -> None:
         # projections, then reflections, in one set after the other: a common point proves more than
         # a projection on C & D does from afar, which takes 4 ms for two balls and these 0.1

@@ -25,6 +25,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     Selection,
+    once,
     row_units,
 )
 from sweepopt.sets.least_distance import (
@@ -50,6 +51,24 @@ REACHES = 2.0 ** np.arange(0, 65, 8)  # in units of what is seen of the set: to 
 RATIONAL_DIM = 30  # 63 rows in 25 unknowns take 0.14 s in rational numbers, 101 in 40 take 2.5 s
 NEAR = 1e-6  # of the size of a row: a point moves by much less to what is nearer
 ACTIVE_DIM = 1000  # rows or unknowns up to which active sets are used, beyond a sparse QP
+
+
+@once
+def _of_rows(G: Any) -> tuple[Any, ...]:
+    """Units of rows G, rows of numbers near 1, whose right hand sides are the offsets, their
+    lengths, which of them are parallel, or opposite but for rounding, and the first such of each.
+    """
+    units = row_units("row {} of G", G)
+    rows = sp.diags_array(1 / units) @ G
+    rows = rows if max(rows.shape) > DENSE else dense(rows)
+    lengths = row_lengths(rows)
+    lead = np.arange(lengths.size)
+    lengths = np.where(lengths > 0, lengths, np.inf)
+    pairs = parallel_rows(_columns(rows.T, 1 / lengths).T)
+    opposite = pairs.opposite_but_for_rounding(rows)
+    parallel, wedges = pairs.among(~opposite), pairs.among(opposite)
+    np.minimum.at(lead, parallel.j, parallel.i)
+    return units, rows, lengths, parallel, wedges, lead
 
 
 class Polyhedron(ConvexSet):
@@ -91,17 +110,8 @@ class Polyhedron(ConvexSet):
         if not self.dim:
             raise InputError("G must have at least one column")
         self.exact = self.certifiable = min(self.G.shape) <= ACTIVE_DIM
-        # rows of numbers near 1, whose right hand sides are the offsets
-        self._units = row_units("row {} of G", self.G)
-        rows = sp.diags_array(1 / self._units) @ self.G
-        self.rows = rows if max(rows.shape) > DENSE else dense(rows)
-        lengths = row_lengths(self.rows)
-        self._lengths = np.where(lengths > 0, lengths, np.inf)
-        pairs = parallel_rows(_columns(self.rows.T, 1 / self._lengths).T)
-        wedges = pairs.opposite_but_for_rounding(self.rows)
-        self._parallel, self._wedges = pairs.among(~wedges), pairs.among(wedges)
-        self._lead = np.arange(lengths.size)  # the first of all parallel rows
-        np.minimum.at(self._lead, self._parallel.j, self._parallel.i)
+        self._units, self.rows, self._lengths, *more = _of_rows(self.G)
+        self._parallel, self._wedges, self._lead = more
         self._set_offsets(h)
 
     def _set_offsets(self, h: Any) -> None:
