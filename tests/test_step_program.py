@@ -159,7 +159,7 @@ def test_a_set_of_which_nothing_is_known_enters_by_its_support_function():
 
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate", "ignore::sweepopt.SweepoptWarning")
 def test_a_step_that_was_taken_in_parts_has_the_program_of_the_whole_step():
-    process = thin(lambda t: 1e-12 + abs(t - 0.5))
+    process = thin(lambda t: 1e-14 + abs(t - 0.5))
     sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
     assert sol.stats["solver"][0].endswith("/2")
     program = sol.step_program(0)

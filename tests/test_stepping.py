@@ -64,7 +64,7 @@ def test_the_bound_of_steps_in_parts_is_not_below_their_error():
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_a_step_where_the_set_is_thin_is_taken_in_parts():
-    process = thin(lambda t: 1e-12 + abs(t - 0.5))
+    process = thin(lambda t: 1e-14 + abs(t - 0.5))
     sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
     assert [name.partition("/")[2] for name in sol.stats["solver"]] == ["2"]
     assert sol.message.endswith(" 1 step missed tol as a whole and met it in equal parts.")
@@ -76,7 +76,7 @@ def test_a_step_where_the_set_is_thin_is_taken_in_parts():
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_a_step_in_parts_that_overshoots_is_warned_of():
-    process = thin(lambda t: 1e-12 + abs(t - 5.0) / 500, speed=0.0, height=-2.0)
+    process = thin(lambda t: 1e-14 + abs(t - 5.0) / 500, speed=0.0, height=-2.0)
     with pytest.warns(so.StabilityWarning, match="can overshoot into a wrong stuck state"):
         sol = so.solve(process, t_end=10.0, steps=1, scheme="midpoint")
     assert parts(sol) == [2]
@@ -113,7 +113,7 @@ def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why():
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_a_set_that_is_empty_between_the_times_of_the_grid_is_named():
-    process = thin(lambda t: 1e-12 + abs(t - 0.5) if t in (0.0, 0.5, 1.0) else -0.5)
+    process = thin(lambda t: 1e-14 + abs(t - 0.5) if t in (0.0, 0.5, 1.0) else -0.5)
     with pytest.raises(so.StepError, match=r"parts: C\(t\) at t = 0.25 is empty") as failure:
         so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
     assert failure.value.certificate > 1e-6

@@ -169,11 +169,18 @@ class Lifted(ConvexSet):
         that E only puts in their places, as nodes that rub beside one at a corner, are one set.
         """
         E, F, stacked = self.lifted
-        parts = [C for part in stacked for C in part.factors()]
-        groups, labels = _components(E, F, np.array([[C.dim for C in parts]]))
+        # to make the intervals of a box takes longer than to see that they are one set
+        sizes = [
+            np.ones(part.dim, dtype=int)
+            if isinstance(part, Box)
+            else [C.dim for C in part.factors()]
+            for part in stacked
+        ]
+        groups, labels = _components(E, F, np.concatenate(sizes)[None])
         of_w, of_F, of_part, of_placed, of_s = labels
         if groups.size < 2:
             return None
+        parts = [C for part in stacked for C in part.factors()]
         blocks, unknowns = [], []
         for group in groups:
             some, rows, own, at = (np.flatnonzero(x == group) for x in (of_w, of_F, of_part, of_s))

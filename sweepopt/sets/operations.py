@@ -249,24 +249,30 @@ def intersect(C: ConvexSet, D: Any) -> Any:
         return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
     have_rows = (isinstance(shape_of(S), (Box, Polyhedron)) and not S.singleton for S in (C, D))
     if C.dim > ACTIVE_DIM or not all(have_rows):
-        return _with_one_polyhedron(C, D)
+        C = Intersection(_common(C, D), C, D)
+        return nested(C, *C.operands)
     (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
 
 
-def _with_one_polyhedron(C: ConvexSet, D: ConvexSet) -> ConvexSet:
-    """C & D, where (C & P) & Q = C & (P & Q) for polyhedra.
+def _common(C: ConvexSet, D: ConvexSet) -> Form:
+    """C & D; rows of a polyhedron cut C: Newton's method finds the active ones with the rest."""
+    if isinstance(C, Polyhedron):
+        C, D = D, C
+    if not isinstance(D, Polyhedron) or isinstance(C, Polyhedron):
+        return Form.common(C.form(), D.form())
+    rows, one = _beside(D.rows)
+    below = Box(np.full(D.offsets.size, -np.inf), D.offsets)
+    return Form.beside(C.form(), Form.alone(below)).cut(rows).image(one)
 
-    300 half-spaces one by one beside a ball took 21 s to project on, 1 s as one polyhedron.
-    """
-    if isinstance(C, Intersection) and isinstance(shape_of(D), Polyhedron):
-        flat = [S for S in C.operands if isinstance(shape_of(S), Polyhedron)]
-        others = [S for S in C.operands if not isinstance(shape_of(S), Polyhedron)]
-        if flat and others and C.dim <= ACTIVE_DIM:
-            return reduce(intersect, [*others, reduce(intersect, [*flat, D])])
-    C = Intersection(Form.common(C.form(), D.form()), C, D)
-    return nested(C, *C.operands)
+
+@once
+def _beside(G: Matrix) -> tuple[sp.csr_array, sp.csr_array]:
+    """(w, r) -> G w - r, and w."""
+    m, n = G.shape
+    one = sp.eye_array(n, n + m, format="csr")
+    return sp.csr_array(sp.hstack([G, -sp.eye_array(m)])), one
 
 
 @partial(over_time, linear=True)
