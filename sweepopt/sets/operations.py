@@ -260,7 +260,8 @@ def _common(C: ConvexSet, D: ConvexSet) -> Form:
     """C & D; rows of a polyhedron cut C: Newton's method finds the active ones with the rest."""
     if isinstance(C, Polyhedron):
         C, D = D, C
-    if not isinstance(D, Polyhedron) or isinstance(C, Polyhedron):
+    # 150 rows take as long as active sets, 290 four times
+    if not isinstance(D, Polyhedron) or isinstance(C, Polyhedron) or 2 * len(D.offsets) > DENSE:
         return Form.common(C.form(), D.form())
     rows, one = _beside(D.rows)
     below = Box(np.full(D.offsets.size, -np.inf), D.offsets)
