@@ -75,7 +75,7 @@ class Velocities:
                 return Step(mean)
         whole, cause = self._mean(t, mu, u), ""
         work.append(whole)
-        for count in PARTS if whole.relative > self._plan.tol and not whole.hidden else ():
+        for count in PARTS if whole.relative > self._plan.tol and not whole.at_rounding else ():
             h = mu / count
             starts = t + h * np.arange(count)
             try:
@@ -218,7 +218,7 @@ def _mean(weights: Sequence[float], velocities: Stages, work: Stages | None = No
         velocities[-1].solver,
         sum(one.iterations for one in work or velocities),
         sum(attempts) if work else max(attempts),
-        hidden=any(one.hidden for one in velocities),
+        at_rounding=any(one.at_rounding for one in velocities),
     )
 
 

@@ -299,7 +299,7 @@ class Cascade:
                 if not (attempt.from_best and best.relative < math.inf):  # else it is improved
                     solver = attempt.solver.name
                 best = velocity
-            if not best.relative > tol or velocity.hidden:
+            if not best.relative > tol or velocity.at_rounding:
                 break
             if count == 1 and inclusion.rests_exactly(of):
                 return at_rest(of.q)

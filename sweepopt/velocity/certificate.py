@@ -55,7 +55,7 @@ class Velocity(NamedTuple):
         Of the solver that found it, and how many were asked.
     w : ndarray, shape (dim,), optional
         The point of C with which the program ended: of path "cones" and where nothing is proved.
-    hidden : bool
+    at_rounding : bool
         Whether more than `tol` is what rounds in its normal pair, as in sets that hardly overlap:
         no other solver does better.
     """
@@ -67,7 +67,7 @@ class Velocity(NamedTuple):
     iterations: int = 0
     attempts: int = 0
     w: Array | None = None
-    hidden: bool = False
+    at_rounding: bool = False
 
 
 class Instance(NamedTuple):
@@ -187,8 +187,8 @@ class Inclusion:
         if size is None and not certificate <= tol * size_z:
             size = M.dual_norm(of.force)
         size = max(size_z, size or 0.0) * metric
-        hidden = pair.perturbation > max(tol * size, 0.5 * certificate)
-        return rated(z, certificate, size)._replace(hidden=hidden)
+        at_rounding = pair.perturbation > max(tol * size, 0.5 * certificate)
+        return rated(z, certificate, size)._replace(at_rounding=at_rounding)
 
     def closed_form(self, of: Instance, tol: float) -> Velocity | None:
         """z = M^-1 (w - q + c) for a diagonal M, w the projection of q - c, or rest.
