@@ -145,12 +145,8 @@ class InMetric:
     """
 
     def __init__(self, C: ConvexSet, M: Array) -> None:
-        self._C, self._root, self._form, self._polyhedral = (
-            C,
-            _inverse_root(M),
-            C.form(),
-            C.polyhedral,
-        )
+        self._C, self._form, self._polyhedral = C, C.form(), C.polyhedral
+        self._root = _inverse_root(M)
         self._E = dense(self._form.E)
         self._alone, self._sums = _normals_of(self._E, dense(self._form.F))
         self._projector = lru_cache(2)(self._in_unit)
