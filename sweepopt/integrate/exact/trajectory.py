@@ -197,7 +197,8 @@ def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, A
     The certificate is that of -u' in N_C(A u' + B u) at the end of the step, or late in a phase
     inside of it if it is worse there, from A, B and the set's own projection: u' solves the program
     of an implicit Euler step that ends in u, M = A + mu B and q = B (u - mu u'). B u and the load
-    may cancel: then it is compared to a hundredth of their largest sizes so far.
+    may cancel, and the terms of a row's d(t): then it is compared to a hundredth of their largest
+    sizes so far.
 
     Raises
     ------
@@ -217,7 +218,8 @@ def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, A
     def certified(mu: float, t: float, u: Array, z: Array) -> Velocity:
         nonlocal largest
         C, M, force = process.C.at(t), factor(mu), process.times_B(u)
-        largest = max(largest, M.norm(z) + M.dual_norm(force) + M.dual_norm(C.anchor))
+        sizes = M.norm(z) + M.dual_norm(force) + M.dual_norm(C.anchor)
+        largest = max(largest, sizes, rows.size_of_nearest(t, u, mu))
         if not (z.any() or C.normal(force).any()):
             return Velocity(z, 0.0, 0.0)  # at rest in C
         before = u - mu * z
@@ -237,8 +239,7 @@ def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, A
                 "use implicit-euler, midpoint or sdirk2"
             )
             return None
-        after, z, phases = node
-        end = float(times[run.done + 1])
+        end, after, z, phases = node
         checked = [certified(mu, end, after, z)]
         for one in phases:
             if one.end < end:
@@ -253,8 +254,8 @@ def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, A
     return take
 
 
-def _nodes(rows: Rows, run: Run) -> Iterator[tuple[Array, Array, list[Phase]]]:
-    """u, u' and the phases that are new at each node, as far as phases go; `run` gets them."""
+def _nodes(rows: Rows, run: Run) -> Iterator[tuple[float, Array, Array, list[Phase]]]:
+    """t, u, u' and the phases that are new at each node, as far as phases go; `run` gets them."""
     phases: list[Phase] = []
     times, done, before = run.times, 1, 0
     for phase in phases_of(rows, run.u, float(times[0]), float(times[-1])):
@@ -265,8 +266,9 @@ def _nodes(rows: Rows, run: Run) -> Iterator[tuple[Array, Array, list[Phase]]]:
         # a node that rounding puts beside a breakpoint is that: the velocity before it is meant
         slack = checks.TIME_SLACK * abs(phase.end)
         end = int(np.searchsorted(times, phase.end + slack, side="right"))
-        block = times[done:end]  # one by one they take twice as long
-        for u, z in zip(phase.state(block), phase.velocity(block), strict=True):
-            yield u, z, phases[before:]
+        block = np.minimum(times[done:end], phase.end)  # one by one they take twice as long
+        of_block = block.tolist(), phase.state(block), phase.velocity(block)
+        for t, u, z in zip(*of_block, strict=True):
+            yield t, u, z, phases[before:]
             before = len(phases)
         done = max(done, end)
