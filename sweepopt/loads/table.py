@@ -193,7 +193,7 @@ def check_points(
             f"values must have one axis, got shape {np.shape(values)}; rows of vectors are "
             "so.VectorTable(times, values)"
         )
-    sort = "; sort the table, and leave a small gap at a jump, such as 1e-13 of its last time"
+    sort = "; sort the table, and leave a small gap at a jump, such as 1e-13 of the largest time"
     t, phi = increasing(name, times, sort, rows), entries("values", values)
     if phi.shape != t.shape:
         raise InputError(f"values has {phi.size} entries, {name} has {t.size}; give one each")

@@ -387,7 +387,7 @@ class SweepingProcess(Displayed):
     def check_jumps(self, start: float, end: float) -> None:
         """Look for finite jumps of center(t), scale(t) and h(t) that are data, between two times.
 
-        A table jumps between times that are no further apart than 1e-12 of the largest one.
+        A table jumps between times no further apart than 1e-12 of the largest time of the run.
 
         Warns
         -----

@@ -278,6 +278,10 @@ class Aligned(ConvexSet):
         for S in self.parts:
             S.require_nonempty(where)
 
+    @property
+    def is_bounded(self) -> bool:
+        return all(S.is_bounded for S in self.parts)
+
     def magnitude(self) -> float:
         away = 0.0 if self.v is None else float(np.linalg.norm(self.v))
         return abs(self.factor) * self._extent() + away

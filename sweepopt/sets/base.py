@@ -430,7 +430,7 @@ class ConvexSet(Operators, ABC):
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
-    _start: Any = None  # of the next projection in the metric of a run
+    start: Any = None  # of the next projection in the metric of a run
     _last: tuple[bytes, Any] = b"", None
 
     def __init_subclass__(cls) -> None:
@@ -481,7 +481,7 @@ class ConvexSet(Operators, ABC):
         if self.exact:
             return self
         made = copy.copy(self)
-        made._start = before and before._start
+        made.start = before and before.start
         return made
 
     def _memo(self, v: Array, function: Callable[[Array], Any]) -> Any:
@@ -693,6 +693,11 @@ class ConvexSet(Operators, ABC):
     def singleton(self) -> bool:
         """Whether C is one point: then the velocity program is a linear system."""
         return False
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether that is seen by its parts: unbounded ones, too, may make a bounded set."""
+        return all(math.isfinite(part.magnitude()) for part in self.form().parts)
 
     @property
     def anchor(self) -> Array:

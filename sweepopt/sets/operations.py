@@ -52,6 +52,7 @@ from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
 
 COLUMN = "column {} of M"
+MANY_ROWS = 150  # of a polyhedron: so many take as long as active sets, 290 four times
 
 
 def over_time(operation: Callable[..., Any], linear: bool = False) -> Callable[..., Any]:
@@ -260,16 +261,17 @@ def _common(C: ConvexSet, D: ConvexSet) -> Form:
     """C & D; rows of a polyhedron cut C: Newton's method finds the active ones with the rest."""
     if isinstance(C, Polyhedron):
         C, D = D, C
-    # 150 rows take as long as active sets, 290 four times
-    if not isinstance(D, Polyhedron) or isinstance(C, Polyhedron) or 2 * len(D.offsets) > DENSE:
+    if isinstance(C, Polyhedron) or not isinstance(D, Polyhedron):
         return Form.common(C.form(), D.form())
-    rows, one = _beside(D.rows)
+    if not 0 < len(D.offsets) <= MANY_ROWS:
+        return Form.common(C.form(), D.form())
+    rows, one = _with_slacks(D.rows)
     below = Box(np.full(D.offsets.size, -np.inf), D.offsets)
     return Form.beside(C.form(), Form.alone(below)).cut(rows).image(one)
 
 
 @once
-def _beside(G: Matrix) -> tuple[sp.csr_array, sp.csr_array]:
+def _with_slacks(G: Matrix) -> tuple[sp.csr_array, sp.csr_array]:
     """(w, r) -> G w - r, and w."""
     m, n = G.shape
     one = sp.eye_array(n, n + m, format="csr")

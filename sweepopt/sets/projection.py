@@ -148,7 +148,9 @@ class InMetric:
         self._C, self._form, self._polyhedral = C, C.form(), C.polyhedral
         self._root = _inverse_root(M)
         self._E = dense(self._form.E)
-        self._alone, self._sums = _normals_of(self._E, dense(self._form.F))
+        # any normal is one of a point
+        points = np.concatenate([np.full(S.dim, S.singleton) for S in self._form.parts])
+        self._alone, self._sums = _normals_of(self._E, dense(self._form.F), points)
         self._projector = lru_cache(2)(self._in_unit)
 
     def _in_unit(self, share: float) -> Projector:
@@ -160,18 +162,20 @@ class InMetric:
         if pair.w is None or (proved and pair.perturbation == np.inf):
             other = self._nearest(q, TENSE, proved)
             pair = other if other.w is not None and other.perturbation < np.inf else pair
-        self._C._start = pair.start
+        self._C.start = pair.start
         return pair
 
     def _nearest(self, q: Array, share: float, proved: bool) -> NearestPair:
-        u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C._start
+        u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C.start
         v = inverse @ q
         near = self._projector(share)(v, start and Start(start.s, u * start.n))
         p, (s, n) = inverse.T @ (v - near.w), near.start
         perturbation, w = np.inf, self._E @ s if near.exact else None
         if near.exact and proved:
-            rests = (self._alone & (n == 0)).any(axis=1)
-            rests |= ~(self._sums & np.append(n != 0, True)).any(axis=1)
+            rounding = np.abs(near.s) + near.splitting.rounding_scale(near.image)
+            pulls = np.abs(near.image - near.s) > ROUNDING * rounding
+            rests = (self._alone & ~pulls).any(axis=1)
+            rests |= ~(self._sums & np.append(pulls, True)).any(axis=1)
             p[rests | (np.abs(p) <= ROUNDING * np.abs(p).max())] = 0.0
             perturbation = self._perturbation(near, p, u, inverse)
         return NearestPair(0.0 - p / u, Start(s, n / u), w, perturbation)
@@ -197,13 +201,13 @@ def _inverse_root(M: Array) -> tuple[float, Array]:
 
 
 @once
-def _normals_of(E: Array, F: Array) -> tuple[Array, Array]:
+def _normals_of(E: Array, F: Array, points: Array) -> tuple[Array, Array]:
     """Of E^T p - F^T lam = n: which n_j are p_i alone but for a factor, and which ones p_i adds up.
 
-    A last column says where the n_j do not know p_i.
+    A last column says where the n_j, but for those of points, do not know p_i.
     """
-    alone = (E != 0) & ~F.any(axis=0) & (np.count_nonzero(E, axis=0) == 1)
-    columns = np.vstack([E, F])
+    alone = (E != 0) & ~F.any(axis=0) & (np.count_nonzero(E, axis=0) == 1) & ~points
+    columns = np.vstack([E, F]) * ~points
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), TINY)
     inverse = np.linalg.pinv(columns.T)
     unknown = np.abs(inverse @ columns.T - np.eye(len(columns))).max(axis=1) > REGULAR

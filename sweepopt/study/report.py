@@ -109,8 +109,8 @@ def halving(table: DataFrame) -> DataFrame:
         A row a run, with its columns, one for each axis in `AXES` called "more steps"
         for example: the factor of the time, inf where the error hardly falls, here or before it
         is half, nan where no next run was measured; and `cheapest`, the axis of the least factor.
-        If all are above 100, it names the axes that have half the error together, in the fastest
-        run further along, "" if there is none.
+        If all are above 100, it names the axes along which the fastest run with half the error
+        is further, if they are two or more, else "".
     """
     require_columns(table, CellRow._fields)
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
@@ -132,24 +132,26 @@ def halving(table: DataFrame) -> DataFrame:
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
     best = cells[cells.error < 0.9 * faster].sort_values("problem", kind="stable")
     possible = best[list(AXES)].fillna(np.inf)
-    together = [_axes_together(known, run) for run in best.index]
+    cheapest = possible.idxmin(axis="columns")
     alone = possible.min(axis="columns") <= HARDLY
-    return best.assign(cheapest=possible.idxmin(axis="columns").where(alone, together))
+    cheapest[~alone] = [_axes_together(known, run) for run in best.index[~alone]]
+    return best.assign(cheapest=cheapest)
 
 
 def _axes_together(cells: DataFrame, run: Any) -> str:
-    """Along which axes the fastest run with half the error of this one is further."""
+    """Along which axes, two or more, the fastest run with half the error of this one is further."""
     same = ["problem", "scheme", "solver"]
-    steps = DataFrame(
-        {
-            words: cells[axis].rank(method="dense", ascending=not smaller).fillna(0)
-            for words, (axis, smaller) in AXES.items()
-        }
-    )
-    steps -= steps.loc[run]
-    further = (cells[same] == cells.loc[run, same]).all(axis=1) & (steps >= 0).all(axis=1)
-    halved = steps[further & (cells.error <= cells.error[run] / 2)]
-    return "" if halved.empty else " and ".join(halved.columns[halved.iloc[0] > 0])
+    alike = (cells[same] == cells.loc[run, same]).all(axis=1)
+    others = cells[alike & (cells.error <= cells.error[run] / 2)]
+    for axis, smaller in AXES.values():
+        own = cells.loc[run, axis]
+        others = others[others[axis] <= own if smaller else others[axis] >= own]
+    ahead = [
+        words
+        for words, (axis, _) in AXES.items()
+        if len(others) and others.iloc[0][axis] != cells.loc[run, axis]
+    ]
+    return " and ".join(ahead) if len(ahead) > 1 else ""
 
 
 def readable(cells: DataFrame, *columns: str) -> DataFrame:

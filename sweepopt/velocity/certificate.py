@@ -187,7 +187,7 @@ class Inclusion:
         if size is None and not certificate <= tol * size_z:
             size = M.dual_norm(of.force)
         size = max(size_z, size or 0.0) * metric
-        at_rounding = pair.perturbation > max(tol * size, 0.5 * certificate)
+        at_rounding = math.inf > pair.perturbation > max(tol * size, 0.5 * certificate)
         return rated(z, certificate, size)._replace(at_rounding=at_rounding)
 
     def closed_form(self, of: Instance, tol: float) -> Velocity | None:

@@ -128,7 +128,7 @@ class Rows:
         return np.flatnonzero(self.equations).tolist()
 
     def size_of_nearest(self, t: float, u: Array, mu: float) -> float:
-        """What the d of the row with the least slack adds up, as a force in |.|_{M^-1} of a step."""
+        """What the d of the row with the least slack adds up, a force in |.|_{M^-1} of a step."""
         values = np.array([phi(t) for phi in self.histories])
         squares = (0.0 if self.rate_independent else 1.0) + mu * self.SB.diagonal()
         slack = np.where(self.S.diagonal() > 0, self.weights @ values - self.NB @ u, np.inf)

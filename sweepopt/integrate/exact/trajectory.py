@@ -210,7 +210,7 @@ def exact_steps(process: SweepingProcess, run: Run) -> Callable[[float, float, A
         raise InputError(
             f"scheme 'exact' has no use for solver={shown(plan.solver)}; leave one of them out"
         )
-    rows, times = rows_of(process), run.times
+    rows = rows_of(process)
     factor = lru_cache(maxsize=1)(lambda mu: Factor(process.matrix(mu)))
     largest = 0.0
     nodes = _nodes(rows, run)

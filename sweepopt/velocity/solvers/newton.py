@@ -77,8 +77,8 @@ class _Iteration:
 
     def __init__(self, program: VelocityProgram, max_iter: int) -> None:
         self._M, self._max_iter = program.M, max_iter
-        # nothing rounds -z out of dom sigma if that is the whole space
-        self._bounded = math.isfinite(program.cone.magnitude())
+        # of bounded sets dom sigma is the whole space, and nothing rounds -z out of it
+        self._bounded = program.cone.is_bounded
         self._proved = program.proved or not self._bounded
         self._z = np.zeros(self._M.dim)
         self._key: bytes = b""
