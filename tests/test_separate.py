@@ -59,8 +59,23 @@ def test_few_long_steps_have_a_guaranteed_bound():
         for S, size in ((so.Ball([0.3, 0.0], 1.0), 1.5), (thin, 2.0))
     )
     process = so.SweepingProcess(0.1 * np.eye(2), np.eye(2), disc & ellipse, [0.0, 0.0])
-    how = {"t_end": 0.8, "scheme": "midpoint", "on_unstable": "ignore"}
+    how = {"t_end": 0.8, "scheme": "sdirk2"}
     sol, fine = (so.solve(process, steps=n, **how) for n in (3, 48))
     bound, error = sol.error_bound(), max(map(process.metric.norm, sol(fine.t) - fine.u))
     assert bound.guaranteed
     assert error < bound < 3 * error
+
+
+def test_a_bound_finds_what_the_run_took_for_rest():
+    """A push that comes and goes between the stages of a step."""
+    pulse = so.Table([0, 0.5, 0.51, 0.52, 2], [0, 0, 2.6, 0, 0])
+    terms = ((pulse, [1.0, 0.5]), (so.Sine(0.1, 3.0), [0.3, -1.0]))
+    disc = so.Moving(so.Ball([0, 0], 1.0), so.Separable(terms))
+    box = so.Box([-0.9, -0.9], [0.9, 0.95])
+    more = so.Moving(box, so.Separable([*terms, (so.Sine(0.1, 3.0), [1.0, 0.0])]))
+    process = so.SweepingProcess(1e-3 * np.eye(2), np.eye(2), disc & more, [0.0, 0.0])
+    sol = so.solve(process, t_end=1.0, steps=19, scheme="sdirk2")
+    assert not sol.velocity.any()
+    fine = so.solve(process, steps=np.union1d(sol.t, np.linspace(0.5, 0.52, 65)), scheme="sdirk2")
+    error = max(map(process.metric.norm, fine.u))
+    assert error < sol.error_bound() < 1.5 * error

@@ -205,9 +205,8 @@ class Run:
         self.recorded: list[Any] = []
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.exact: Trajectory | None = None
-        self.advance: Callable[[float], Any] | None = (
-            None  # to so many steps, of which phases are parts
-        )
+        # of the progress bar, to a share of the time in steps: phases are parts of them
+        self.advance: Callable[[float], Any] | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
         self._rows, self._ends = np.full(len(mus), 0, ROW), times.data  # gives floats of Python
         self._solvers: dict[str, int] = {}

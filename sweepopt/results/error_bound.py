@@ -172,24 +172,23 @@ def error_bound(
     data = motion(process.C)
     separate = not (data.summands or variation or unknown(process.C, data, float(run.t[0])))
     kind = 3 - moves_straight(process.C) if separate else kind
-    work = WORK[kind] * _moving(run, separate) * len(plan.scheme.b)
+    programs = WORK[kind] * len(plan.scheme.b)
     parts = WORK[kind] if separate and len(plan.scheme.b) == 1 else 1 if stiff else 2
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.A.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
         return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
-    cuts = breakpoints(histories_of(process.C, inside=False), run.t[0], run.t[-1])
-    t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
-    long = np.diff(t) > TIME_SLACK * np.abs(t).max()  # others end at a node but for rounding
-    t = divided(t, np.where(long, parts, 1))
+    t = _first_grid(process, run.t, parts)
     ends = norms.A(run.u)
     largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
         nodes, slopes, members = companion(process, plan, velocities, t, by_points)
         moving = _moving(nodes, separate)
-        work -= moving
+        if not passes:  # what the run took for rest may move
+            left = programs * max(_moving(run, separate), -(-moving // parts))
+        left -= moving
         # of unbounded sets all, as velocities of a cubic may have no support function
         chosen = [best] if separate or (one_curve and largest < math.inf) else CURVES
         curves = slopes_of_curves(nodes, slopes, chosen)
@@ -202,10 +201,9 @@ def error_bound(
         first = np.searchsorted(t, run.t[:-1])
         A = np.fmin(A, np.maximum.reduceat(distance + growth.A, first) + rounding)
         B = np.fmin(B, np.maximum.reduceat(distance_B + growth.B, first) + rounding)
-        below = nodal - growth.A - rounding
-        lower = max(lower, float(np.nan_to_num(below).max()))
+        lower = max(lower, float(np.nan_to_num(nodal - growth.A - rounding).max()))
         passes.append((len(t) - 1, float(growth.A[-1])))
-        more = _more(passes, max(COMPANION_SHARE * distance.max(), rounding), work - moving)
+        more = _more(passes, max(COMPANION_SHARE * distance.max(), rounding), left - moving)
         if more == 0 or reason or variation is not None:
             break
         t = _refined(t, growth.shares, more)
@@ -271,6 +269,14 @@ def _largest_state(norms: Norms, a: float, b: float) -> float:
         size += most * S.magnitude()
     w = center + size / math.sqrt(norms.B.beta)
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
+
+
+def _first_grid(process: SweepingProcess, t: Array, parts: int) -> Array:
+    """The breakpoints of the data added, if they are fewer, and each step in equal parts."""
+    cuts = breakpoints(histories_of(process.C, inside=False), t[0], t[-1])
+    t = np.union1d(t, cuts) if len(cuts) < len(t) else t
+    long = np.diff(t) > TIME_SLACK * np.abs(t).max()  # others end at a node but for rounding
+    return divided(t, np.where(long, parts, 1))
 
 
 def _moving(run: Nodes, separate: bool) -> int:

@@ -430,7 +430,7 @@ class ConvexSet(Operators, ABC):
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
-    start: Any = None  # of the next projection in the metric of a run
+    _start: Any = None  # of the next projection in the metric of a run
     _last: tuple[bytes, Any] = b"", None
 
     def __init_subclass__(cls) -> None:
@@ -481,7 +481,7 @@ class ConvexSet(Operators, ABC):
         if self.exact:
             return self
         made = copy.copy(self)
-        made.start = before and before.start
+        made._start = before and before._start
         return made
 
     def _memo(self, v: Array, function: Callable[[Array], Any]) -> Any:

@@ -162,11 +162,11 @@ class InMetric:
         if pair.w is None or (proved and pair.perturbation == np.inf):
             other = self._nearest(q, TENSE, proved)
             pair = other if other.w is not None and other.perturbation < np.inf else pair
-        self._C.start = pair.start
+        self._C._start = pair.start
         return pair
 
     def _nearest(self, q: Array, share: float, proved: bool) -> NearestPair:
-        u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C.start
+        u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C._start
         v = inverse @ q
         near = self._projector(share)(v, start and Start(start.s, u * start.n))
         p, (s, n) = inverse.T @ (v - near.w), near.start
