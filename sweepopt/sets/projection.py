@@ -159,9 +159,9 @@ class InMetric:
     def __call__(self, q: Array, proved: bool) -> NearestPair:
         """From the one before, of this set or another; without a proof there is no perturbation."""
         pair = self._nearest(q, 1.0, proved)
-        if pair.w is None or (proved and pair.perturbation == np.inf):
+        if proved and pair.perturbation == np.inf:
             other = self._nearest(q, TENSE, proved)
-            pair = other if other.w is not None and other.perturbation < np.inf else pair
+            pair = other if other.perturbation < np.inf else pair
         self._C._start = pair.start
         return pair
 

@@ -102,7 +102,7 @@ class _Iteration:
         """
         if self._metric[0] is not C:
             self._metric = C, InMetric(C, dense(self._M.M))
-        near = self._metric[1](q, self._proved)
+        near = self._metric[1](q, self._proved and self._bounded)
         self._z = near.z
         known = near.perturbation < math.inf if self._proved else near.w is not None
         if known and self._bounded:
