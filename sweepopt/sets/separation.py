@@ -19,8 +19,10 @@ from sweepopt.linalg import dense, euclidean
 from sweepopt.sets.base import DENSE, RANK, ROUNDING, ConvexSet, Form, placed
 from sweepopt.sets.projection import Projection, Start
 
-AWAY = 2.0 ** np.array([-20, -20, -14, -7, 0])  # of the width of F S
-SEEN = 1e6  # where all parts are unbounded, of the size of what is seen: as far as it is proved
+# How far v is from 0, of the width of F S: from 1e-6, where p of a curved set turns by less than
+# that, to all of it. Twice from the nearest, as p at 0 is rounded most.
+AWAY = 2.0 ** np.array([-20, -20, -14, -7, 0])
+SEEN = 1e6  # the width of unbounded sets, of what is seen of them: no point beyond it is looked for
 
 
 def is_separated(form: Form, project: Callable[[Array, Start | None], Projection]) -> bool | None:
@@ -68,7 +70,7 @@ def _rounding(near: Projection, widths: Array) -> float:
     """
     splitting, s, p = near.splitting, near.s, near.v - near.w
     n, scale = near.image - s, splitting.rounding_scale(near.image)
-    E, free = splitting.E, np.isinf(widths)
+    E, free, widths = splitting.E, np.isinf(widths), widths.copy()
     if free.any():
         widths[free] = SEEN * max(np.abs(s).max(), scale.max())
         if not free.all() and free.sum() <= DENSE:
