@@ -8,6 +8,7 @@ from reference_cases import GRIDS, REFERENCE, case
 
 import sweepopt as so
 from sweepopt.errors import Status
+from sweepopt.study.hard import hard_trajectories
 from sweepopt.study.problems import problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -440,3 +441,8 @@ def test_progress_of_one_long_step_moves_with_its_phases(monkeypatch):
     sol = so.solve(process, t_end=5.0, steps=1, scheme="exact", progress=True)
     assert seen[:-1] == pytest.approx(sol.exact.starts[1:] / 5.0)
     assert seen[-1] == 1.0
+
+
+def test_exact_passes_the_time_at_which_a_box_without_viscosity_closes():
+    [row] = hard_trajectories(trajectories=["closing_without_viscosity"], schemes=["exact"])
+    assert row.verdict == "met"

@@ -187,6 +187,8 @@ def _motion(rows: Rows, phi: ExponentialSum, u: Array, face: Face) -> tuple[Expo
     # where it is below 0 by more than it may be at the start, once for that and once for rounding
     signs[:, 0] += 2 * face.undecided * (np.maximum(-start, 0.0) + ZERO * sizes)
     watched = ~rows.equations & (sizes > 0)
+    if rows.rate_independent:  # no order is hidden there by that of a velocity before
+        watched &= ~face.undecided
     return motion, first_root(p.with_weights(signs[watched]), face.orders[watched])
 
 
