@@ -17,6 +17,7 @@ from sweepopt.linalg import Precise, dense
 from sweepopt.sets.base import (
     RANK,
     ROUNDING,
+    TINY,
     Blocks,
     ConvexSet,
     CurveGaps,
@@ -32,8 +33,6 @@ from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
-
-TINY = np.finfo(float).tiny  # 0 / TINY = 0
 
 
 class Balls(ConvexSet):

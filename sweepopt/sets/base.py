@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
+TINY = np.finfo(float).tiny  # 0 / TINY = 0
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a sum of a few products: less is nothing
 RANK = 1e-13  # singular values that are no more than this share of the largest are rounding
 

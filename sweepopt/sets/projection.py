@@ -26,7 +26,17 @@ from scipy.sparse.linalg import splu
 
 from sweepopt.checks import Array
 from sweepopt.linalg import dense, euclidean, row_lengths
-from sweepopt.sets.base import RANK, ROUNDING, ConvexSet, Form, Perturbation, binary, once, placed
+from sweepopt.sets.base import (
+    RANK,
+    ROUNDING,
+    TINY,
+    ConvexSet,
+    Form,
+    Perturbation,
+    binary,
+    once,
+    placed,
+)
 from sweepopt.sets.shapes import Box
 
 # Of 600 projections on random composed sets (2 to 12 unknowns, three operations, thin and touching
@@ -35,7 +45,6 @@ from sweepopt.sets.shapes import Box
 NEWTON_STEPS = 25  # from a start, and for each of as many proximal points
 GROWTH = 4.0  # of the proximal parameter after each
 REGULAR = 1e-3  # multiple of 1 in the Hessian, for a gradient as large as what it adds up
-TINY = np.finfo(float).tiny  # 0 / TINY = 0
 SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as many
 # Multipliers of sets that touch have no bound: 1e3 times |v - w| where no projection is exact. Of a
 # flat and a round set that overlap by d of their size they are |v - w| / sqrt(d). What an exact
@@ -172,6 +181,7 @@ class InMetric:
         p, (s, n) = inverse.T @ (v - near.w), near.start
         perturbation, w = np.inf, self._E @ s if near.exact else None
         if near.exact and proved:
+            # 0.0 where the normals that p adds up are rounding of the points
             rounding = np.abs(near.s) + near.splitting.rounding_scale(near.image)
             pulls = np.abs(near.image - near.s) > ROUNDING * rounding
             rests = (self._alone & ~pulls).any(axis=1)

@@ -1,9 +1,9 @@
 """Whether a hyperplane proves that { s in S : F s = 0 } has no point.
 
-0 is not in F S if there is a p with <p, F s> < 0 for all s in S. Near the projection w of v on F S
-p = v - w is as large on w as anywhere in F S, up to what rounds in it, so that <p, w> < 0 by more
-than that proves it. What rounds in p is least from afar, and where F S is curved the normal of the
-point next to 0 is found from near: v goes away from 0 step by step, along the last p.
+0 is not in F S if there is a p with <p, F s> < 0 for all s in S. Of p = v - w, w the projection of
+v on F S, <p, F s> is largest at w, up to rounding: <p, w> < 0 by more than that proves it. What
+rounds in p is least from afar, and where F S is curved the normal of the point next to 0 is found
+from near: v goes away from 0 step by step, along the last p.
 """
 
 from __future__ import annotations
