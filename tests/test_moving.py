@@ -79,6 +79,20 @@ def test_sums_multiples_images_and_products_of_translates_by_data_are_such(famil
     assert so.solve(process, t_end=1.0, steps=3).error_bound().guaranteed
 
 
+@pytest.mark.parametrize("unit", [0.3, 1.0, 5.0])
+def test_rows_of_any_length_mean_the_same_set_after_operations(unit):
+    C = so.Moving(so.Polyhedron(unit * G, np.full(5, unit)), WAVES, so.Sine(0.3, 1.1, offset=1.0))
+    D = so.Moving(so.HalfSpace([0.0, unit], 0.7 * unit), WAVES)
+    operations = (
+        lambda C, D: C & D,
+        so.product,
+        lambda C, D: so.image([[1.0, 1.0], [0.0, 2.0]], C & D) + C,
+    )
+    for operation in operations:
+        for t in TIMES:
+            same(operation(C, D).at(t), operation(C.at(t), D.at(t)))
+
+
 @settings(derandomize=True, deadline=None, max_examples=30, database=None)
 @given(st.floats(-10, 10), st.integers(0, 1000))
 def test_a_moving_set_is_center_plus_scale_times_shape(t, seed):

@@ -184,12 +184,14 @@ def _moving_rows(C: Any, linear: bool) -> tuple[Any, list[tuple[Any, Any]]]:
     if not isinstance(C, Moving) or C.summands is None or C.dim > DENSE:
         raise NoHalfspacesError
     S: Any = C.shape
+    d = S.offsets
     if not (linear and isinstance(S, Box)):
-        S = Polyhedron(*S.halfspaces().inequalities())
-    base, G = S.with_offsets(0 * S.offsets), np.eye(S.dim) if S.singleton else S.halfspaces().N
+        N, d = S.halfspaces().inequalities()
+        S = Polyhedron(N, d)
+    base, G = S.with_offsets(0 * d), np.eye(S.dim) if S.singleton else S.halfspaces().N
     moved = [(phi, S.with_offsets(G @ f)) for phi, f in C.summands.center]
     scaled = _terms(C.scale or Constant())
-    return base, [*((phi, S.with_offsets(r * S.offsets)) for phi, r in scaled), *moved]
+    return base, [*((phi, S.with_offsets(r * d)) for phi, r in scaled), *moved]
 
 
 def _terms(scale: Any) -> list[tuple[Any, float]]:
