@@ -881,3 +881,19 @@ def test_a_projection_of_0_that_starts_from_0_comes_to_parts_away_from_0():
     zero = np.zeros(form.E.shape[1])
     near = Projector(form)(np.zeros(2), Start(zero, zero))
     np.testing.assert_allclose(near.w, [0.5, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed, which", [(56, 4), (89, 3), (156, 1), (175, 3)])
+def test_a_body_rests_in_a_sum_whose_faces_are_nearly_parallel(seed, which):
+    random = np.random.default_rng(seed)
+    vertices, sides = random.normal(size=(5, 3)), random.uniform(0.1, 1, (2, 3))
+    C = so.Polytope(vertices) + so.Box(-sides[0], sides[1])
+    for _ in range(which + 1):  # a point that is 1e-6 to 0.1 inside
+        direction = random.normal(size=3)
+        far = 10 * direction / np.linalg.norm(direction)
+        boundary = C.project(far)
+        normal = (far - boundary) / np.linalg.norm(far - boundary)
+        inside = boundary - normal * 10.0 ** random.uniform(-6, -1)
+    assert np.array_equal(C.project(inside), inside)
+    process = so.SweepingProcess(np.eye(3), None, C - inside, np.zeros(3))
+    assert not so.solve(process, t_end=1.0, steps=1).velocity.any()
