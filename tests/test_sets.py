@@ -15,6 +15,7 @@ import pytest
 import scipy.sparse as sp
 from cases import SQUARE, isotropic, refuses, slow, worst_certificate
 from scipy.optimize import nnls
+from scipy.spatial import ConvexHull
 
 import sweepopt as so
 from tests.laws import (
@@ -897,3 +898,14 @@ def test_a_body_rests_in_a_sum_whose_faces_are_nearly_parallel(seed, which):
     assert np.array_equal(C.project(inside), inside)
     process = so.SweepingProcess(np.eye(3), None, C - inside, np.zeros(3))
     assert not so.solve(process, t_end=1.0, steps=1).velocity.any()
+
+
+@pytest.mark.parametrize("seed, row", [(162, 4), (276, 6)])
+def test_the_support_function_beside_nearly_dependent_rows_is_that_of_the_vertices(seed, row):
+    random = np.random.default_rng(seed)
+    vertices = random.normal(size=(8, 3))
+    rows = ConvexHull(vertices).equations
+    for j in range(row + 1):  # normals but for rounding, as those of the facets of a sum are
+        z = rows[j, :-1] * (1 + 1e-15) + 3e-16 * random.normal(size=3)
+    support = so.Polyhedron(rows[:, :-1], -rows[:, -1]).support(z)
+    assert support == pytest.approx((vertices @ z).max(), rel=1e-12)

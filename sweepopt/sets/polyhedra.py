@@ -228,13 +228,18 @@ class Polyhedron(ConvexSet):
                 return None
             extent = float(costs.max()) or 1.0
             for far in REACHES:
-                normal = self._exact_normal(far * extent * goal)
+                v = far * extent * goal
+                normal = self._exact_normal(v)
                 if normal is None:
                     break
-                some, y = dense(columns[:, normal.active]), np.zeros(costs.size)
-                y[normal.active] = np.maximum(np.linalg.pinv(some) @ goal, 0.0)
-                rounding = 10 * ROUNDING * (1 + float(y.sum()))
-                if np.linalg.norm(columns @ y - goal) <= min(2 * nearest, OUTSIDE) + rounding:
+                if not normal.active.size:
+                    continue
+                y, some = np.zeros(costs.size), dense(columns[:, normal.active])
+                y[normal.active], residual = nonnegative_least_squares(some, goal)
+                value, rounding = float(costs @ y), 10 * ROUNDING * (1 + float(y.sum()))
+                # from too far away the nearest point, and with it its rows, is rounding
+                known = abs(value - goal @ (v - normal.u)) <= NEAR * (value + extent)
+                if known and residual <= min(2 * nearest, OUTSIDE) + rounding:
                     return size * weights * y
         result = scipy.optimize.linprog(
             costs / (float(costs.max()) or 1.0),
