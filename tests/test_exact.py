@@ -5,6 +5,7 @@ import pytest
 import tqdm.auto
 from cases import SQUARE, block, isotropic, random_process, refuses, slope, worst_certificate
 from reference_cases import GRIDS, REFERENCE, case
+from scipy.spatial import ConvexHull
 
 import sweepopt as so
 from sweepopt.errors import Status
@@ -446,3 +447,19 @@ def test_progress_of_one_long_step_moves_with_its_phases(monkeypatch):
 def test_exact_passes_the_time_at_which_a_box_without_viscosity_closes():
     [row] = hard_trajectories(trajectories=["closing_without_viscosity"], schemes=["exact"])
     assert row.verdict == "met"
+
+
+@pytest.mark.parametrize("seed", [0, 8])
+def test_a_face_that_ends_where_it_starts_but_for_rounding_is_left(seed):
+    # six and more rows meet in a corner, cond A = 1e7: the multiplier that says so is rounding
+    random, n = np.random.default_rng(seed), 4
+    vertices = random.normal(size=(7, n))
+    rows = ConvexHull(vertices - vertices.mean(axis=0)).equations
+    turn = np.linalg.qr(random.normal(size=(n, n)))[0]
+    A = turn * [1e-7, 1e-6, 1e-3, 1.0] @ turn.T
+    loads = [(h, random.normal(size=n)) for h in (so.Triangle(2.0, 1.0), so.Sine(2.0, 1.3))]
+    C = so.Moving(so.Polyhedron(rows[:, :-1], -rows[:, -1]), so.Separable(loads))
+    process = so.SweepingProcess(0.5 * (A + A.T), None, C, np.zeros(n))
+    sol = so.solve(process, t_end=0.7, steps=3, scheme="exact")
+    assert worst_certificate(sol) <= 1e-6
+    assert len(sol.exact.phases) <= 60

@@ -133,7 +133,7 @@ def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase
     ends = [start, *breakpoints(rows.histories, start, end).tolist(), end]
     for a, b in pairwise(ends):
         s, pieces = a, [phi.piece(a, b) for phi in rows.histories]
-        left, mark, stalled = left + 1, -math.inf, False
+        left, mark, stalled, pushed = left + 1, -math.inf, False, 0.0
         while s < b:
             phi = histories(pieces, s, b - s)
             face = face_after(rows, phi, s, u, before, stalled)
@@ -142,8 +142,11 @@ def phases_of(rows: Rows, u0: Array, start: float, end: float) -> Iterator[Phase
             switch |= s > start and (active != before or (s == a and bool(active)))
             following = s + length
             again, stalled = stalled, length <= 32 * EPS * abs(s) and active == before
-            if again and stalled:  # the end of this face is its start but for rounding
-                following, stalled = max(following, math.nextafter(s, b)), False
+            if not stalled:
+                pushed = 0.0
+            elif again:  # it ends where it starts but for rounding, of unknown size
+                pushed = 2 * pushed or math.nextafter(s, b) - s
+                following, stalled = min(max(following, s + pushed), b), False
             before = active
             if b - following <= min(32 * EPS * abs(b), following - s):
                 following = b  # but for rounding
