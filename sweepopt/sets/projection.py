@@ -360,12 +360,14 @@ class Splitting:
         y = np.append(v - self.E @ s, zero)
         pull = float(np.abs(A.T @ y).max())
         size_s = float(max(np.abs(s).max(), self.rounding_scale(s).max()))
-        c = size_s / pull if size_s and pull else 1.0
+        # beyond it the rounding of projections of s + c n is as large as n
+        most = REGULAR / (ROUNDING * float((A * A).sum()))
+        c = min(size_s / pull, most) if size_s and pull else 1.0
         for _ in range(NEWTON_STEPS):
             y, solved = self._dual_point(A, np.append(v, zero), s, c, y)
             s = self.projected(s + c * (A.T @ y))
             yield Start(s, A.T @ y).scaled(1 / self.units)
-            c *= GROWTH if solved else GROWTH**-2
+            c = min(GROWTH * c, most) if solved else GROWTH**-2 * c
 
     def _dual_point(self, A: Array, goal: Array, center: Array, c: float, y: Array) -> FixedPoint:
         """Newton steps from y = (p, lam) on the dual program of a proximal point of center,
