@@ -221,7 +221,7 @@ class Polyhedron(ConvexSet):
         # rows of length 1 and units of the data: what follows looks at absolute numbers
         weights, size = 1 / self._lengths, float(np.abs(p).max()) or 1.0
         costs, goal = weights * np.maximum(self.offsets, 0.0), p / size
-        columns = _columns(self.rows.T, weights)
+        columns, above = _columns(self.rows.T, weights), list[Array]()
         if self.exact:
             nearest = nonnegative_least_squares(dense(columns), goal).residual
             if nearest > math.sqrt(OUTSIDE):  # NNLS looks at gradients, that are its square
@@ -239,8 +239,10 @@ class Polyhedron(ConvexSet):
                 value, rounding = float(costs @ y), 10 * ROUNDING * (1 + float(y.sum()))
                 # from too far away the nearest point, and with it its rows, is rounding
                 known = abs(value - goal @ (v - normal.u)) <= NEAR * (value + extent)
-                if known and residual <= min(2 * nearest, OUTSIDE) + rounding:
-                    return size * weights * y
+                if residual <= min(2 * nearest, OUTSIDE) + rounding:
+                    if known:
+                        return size * weights * y
+                    above.append(y)
         result = scipy.optimize.linprog(
             costs / (float(costs.max()) or 1.0),
             A_eq=columns,
@@ -251,9 +253,11 @@ class Polyhedron(ConvexSet):
                 "dual_feasibility_tolerance": OUTSIDE,
             },
         )
-        if result.status == 2:
-            return None
         if result.x is None or not result.success:
+            if above:  # needles: each <h, y> is no less than the support function
+                return size * weights * min(above, key=costs.dot)
+            if result.status == 2:
+                return None
             rows = dense(self.rows) / self._lengths[:, None]
             i, j = divmod(int(np.argmin(rows @ rows.T)), len(rows))
             raise SweepoptError(
