@@ -172,7 +172,7 @@ _MEANT = {
     **dict.fromkeys(("interval", "segment", "rectangle", "cube"), "Box"),
     **dict.fromkeys(("circle", "disc", "disk", "sphere"), "Ball"),
 }
-"""What stands here for sets by another name."""
+"""Names under which users look for sets, and what they are called here."""
 
 
 def __getattr__(name: str) -> Any:

@@ -35,10 +35,9 @@ from sweepopt.fem.effects import (
     YieldStress,
 )
 from sweepopt.fem.fields import Coefficient, Profile, SlipWeakening
-from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
-from sweepopt.fem.scene import Scene, antiplane, body
+from sweepopt.fem.scene import Initial, Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, compare_effects, read_scene
 from sweepopt.fem.spaces import Discretisation
 

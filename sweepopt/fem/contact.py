@@ -139,7 +139,7 @@ class Yield(Brief):
 
     @property
     def tangential(self) -> Array:
-        """Of blocks of one row the length along the tangents of its unit motion, shape (m,)."""
+        """Of blocks of one row the length along the tangents for a unit of its row, shape (m,)."""
         if self.rows.block > 1 or self.slip_metric is None:
             return np.ones(len(self.rows.weight))
         return np.sqrt(self.slip_metric[:, 0, 0])
@@ -281,7 +281,7 @@ class Contact(Brief):
 
 
 def merged(contacts: Sequence[Contact]) -> Contact | None:
-    """All nodes with friction, and all facets on which several act, each once."""
+    """The contacts as one: a node or a facet that is in several of them is there once."""
     if not contacts:
         return None
 
@@ -305,7 +305,7 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
 
 
 def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices, Indices]:
-    """A row of unknowns for each node, the first nodes with each, and at which of these all are."""
+    """Unknowns of all nodes, a row each; the first of equal rows; for each row which of these."""
     every = np.vstack([one.unknown.reshape(len(one), -1) for one in contacts])
     _, first, group = np.unique(every, axis=0, return_index=True, return_inverse=True)
     keep = np.sort(first)

@@ -173,7 +173,7 @@ class Formula:
 
 
 parsed = lru_cache(Formula)
-"""A formula by its text: those that move in time are asked for at every step."""
+"""The formula of a text, parsed once: formulas with t are evaluated in every step."""
 
 
 def in_time(datum: Any) -> bool:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 AXES = "xyz"
 PARALLEL = 1e-6
-"""Sine of an angle that is rounding: normals of facets round."""
+"""Sine of an angle below which directions are parallel: normals of facets have rounding errors."""
 SMOOTH = 0.5
 """Sine of the angle between normals below which boundaries are a smooth one: a curved boundary of
 two names is no corner, and a circle has more than twelve facets."""

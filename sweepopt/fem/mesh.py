@@ -36,7 +36,9 @@ MESHES = {
     "triangle": (skfem.MeshTri, "line"),
     "line": (skfem.MeshLine, "vertex"),
 }
-"""Meshes, and what their facets are, by what meshio calls their cells; the first in a file."""
+"""Classes of meshes and the kind of their facets, by the kind of their cells in meshio's names.
+
+The first kind of which a file has cells is that of the body."""
 SIDES = (("left", "right"), ("bottom", "top"), ("front", "back"))
 """Names of the ends of a grid along x, y and z."""
 MOST_CELLS = 10_000_000

@@ -35,9 +35,10 @@ RESULTS = ("*.nc", "*.png", "*.gif", "*.mp4", "vtu/*.series", "vtu/*.vtu")
 VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra10")}
 """Cells of VTK files on meshes of dimension 1, 2 and 3."""
 WEIGHTS, TRACTIONS = ("1", "m", "m2", "m3"), ("N", "N/m", "Pa", "Pa/m")
-"""Of contact nodes, by the dimension of what slips; forces of them, and one more if per length.
+"""Units of the weight of a contact node and of tractions, by the dimension of what slips.
 
-They are those of stresses by the dimension of a bar, a sheet (moduli times thickness) or a solid.
+Where forces are per length, tractions have the next unit. Stresses have the same units, by the
+dimension of the body: a bar, a sheet (moduli times thickness), a solid.
 """
 
 

@@ -32,11 +32,10 @@ from sweepopt.errors import (
 )
 from sweepopt.fem import effects
 from sweepopt.fem.fields import Profile, SlipWeakening
-from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid
 from sweepopt.fem.pictures import PICTURES
 from sweepopt.fem.plasticity import Plasticity
-from sweepopt.fem.scene import Scene, build, method
+from sweepopt.fem.scene import Initial, Scene, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Modulated, Sine, Table, Triangle, check_points
@@ -70,7 +69,7 @@ MEANT = {
     "spring": "; did you mean foundation?",
     "temperature": "; did you mean eigenstrain?",
 }
-"""What stands here for effects by another name."""
+"""Hints for names under which users look for effects."""
 MISSING = {
     "domain": "; write [domain], with mesh and clamped",
     "time": "; write [time], with end and steps",
@@ -87,7 +86,7 @@ PLAIN: dict[str, tuple[type, str]] = {
     "str": (str, "text in quotes"),
     "bool": (bool, "true or false"),
 }
-"""What fields of a user's effect may be annotated with."""
+"""Annotations of fields of a user's effect that values are checked by."""
 
 WORD = re.compile(r"[A-Za-z][\w -]*")
 """Text that stands without quotes in a change, as a shell takes them away."""
@@ -566,9 +565,11 @@ def effect_costs(
 
 
 def _cost(scene: Scene, steps: int) -> dict[str, Any]:
-    """Of steps that end at even times of the run; of the first steps where long ones are refused.
+    """The cost of single steps that end at even times of the run.
 
-    Long steps lead from one of them to the next, then two of its length, as the first is slower.
+    Long steps lead from each to the next. Two of the scene's own length follow each long one, of
+    which the second is timed: the first has to factorise. Where long steps are refused, the
+    first steps of the run are timed.
     """
     h, ends = scene.t_end / scene.steps, np.linspace(scene.steps, 0, steps, False, dtype=int)
     taken = np.unique(np.maximum(np.subtract.outer(ends, [scene.steps, 2, 1, 0]), 0))

@@ -75,8 +75,8 @@ class Norms:
         Whether A is singular, so that B takes its place; B must then be positive definite.
     A, B : Norm
     coercivity : float
-        tau for which w = P_C(A v' + B v - tau v') makes 2 G + |r|^2 / beta least: beta of A, at
-        least 2 G + |r|^2 in the dual norm of A; 0 where A is singular.
+        beta of A, 0 where A is singular: with tau = beta, w = P_C(A v' + B v - tau v') makes
+        2 G + |r|^2 / beta least, a bound of 2 G + |r|^2 in the dual norm of A.
     lam, Lam : float
         Below and above all eigenvalues of A^-1 B; 0 where A is singular; Lam is inf if nothing is
         proved.

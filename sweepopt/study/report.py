@@ -87,7 +87,7 @@ def fastest_runs(study: "Study", table: DataFrame) -> dict[str, Solution]:
         }
 
 
-HARDLY = 100.0  # times the time for half the error, or more, is no advice: order 0.15 and less
+MOST_COSTLY = 100.0  # of the time for half the error that is advice: beyond, the order is < 0.15
 
 
 def halving(table: DataFrame) -> DataFrame:
@@ -127,13 +127,13 @@ def halving(table: DataFrame) -> DataFrame:
         factor = np.exp2((rise / fall).where(fall > rise / 100, np.inf)).where(rise.notna())
         # no run further along has half the error, and between the last two it hardly falls
         last = factor.groupby([cells[column] for column in same]).transform("last")
-        factors[words] = factor.where((least / cells.error <= 0.5) | ~(last > HARDLY), np.inf)
+        factors[words] = factor.where((least / cells.error <= 0.5) | ~(last > MOST_COSTLY), np.inf)
     cells = known.assign(**factors)
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
     best = cells[cells.error < 0.9 * faster].sort_values("problem", kind="stable")
     possible = best[list(AXES)].fillna(np.inf)
     cheapest = possible.idxmin(axis="columns")
-    alone = possible.min(axis="columns") <= HARDLY
+    alone = possible.min(axis="columns") <= MOST_COSTLY
     cheapest[~alone] = [_axes_together(known, run) for run in best.index[~alone]]
     return best.assign(cheapest=cheapest)
 
