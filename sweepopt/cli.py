@@ -239,9 +239,9 @@ def _run(options: argparse.Namespace) -> int:
     given = {name: getattr(options, name) for name in ("steps", "scheme", "solver", "tol", "path")}
     scene = read_scene(path, changes=parse_changes(options.set), without=options.without)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
-    drawn = [f"{name}.png" for name in pictures.pictures_of(scene)]
+    picture_files = [f"{name}.png" for name in pictures.pictures_of(scene)]
     if options.animate:
-        drawn.append(f"{pictures.choose(scene, '', pictures.FIELDS)}.gif")
+        picture_files.append(f"{pictures.choose(scene, '', pictures.FIELDS)}.gif")
     folder = folder_at("--out", options.out or Path("results") / path.stem)
     process, started = scene.process, clock.perf_counter()
     solving = SolveOptions(
@@ -263,11 +263,11 @@ def _run(options: argparse.Namespace) -> int:
     if len(solution.steps):
         report = output.Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
-            files = output.write(report, folder, drawn)
+            files = output.write(report, folder, picture_files)
         except OSError as error:  # a full disk: the run is not lost if there is another
             _say(f"{folder}: the results cannot be written there ({error.strerror or error})")
             folder, code = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), 1
-            files = output.write(report, folder, drawn)
+            files = output.write(report, folder, picture_files)
         _conclude(report, folder, files)
         if norms is not None:
             bound = solution.error_bound()

@@ -45,12 +45,12 @@ def writable(name: str, value: Any) -> Path:
     path, given = as_path(name, value), shown(str(value))
     try:
         path = path.resolve()
-        taken, folder = path.exists() and not path.is_file(), path.parent.is_dir()
+        occupied, folder = path.exists() and not path.is_file(), path.parent.is_dir()
     except (OSError, ValueError, RuntimeError) as error:  # too long, a zero byte, a circle of links
         raise InputError(f"{name} is {given}, which is no path: {error}") from None
     if not folder:
         raise InputError(f"{name} is {given}, but there is no folder {str(path.parent)!r}")
-    if taken or not os.access(path.parent, os.W_OK):
+    if occupied or not os.access(path.parent, os.W_OK):
         raise InputError(f"{name} is {given}, where no file can be written")
     return path
 
@@ -106,8 +106,8 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except ValueError as error:  # not TOML, or a number of thousands of digits
         hint, fault = "", str(error)
-        if found := re.search(r"declare \((.*)\) twice", fault):
-            name = ".".join(re.findall(r"'(.+?)'", found[1]))
+        if match := re.search(r"declare \((.*)\) twice", fault):
+            name = ".".join(re.findall(r"'(.+?)'", match[1]))
             hint = f"; put all keys under one [{name}], or write [[{name}]] above each of several"
         elif "overwrite" in fault:
             hint = "; it is there already: leave one out, or write [[...]] above each of several"
@@ -173,9 +173,9 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
     names = time, *others
     for name in names:
         if header.count(name) != 1:
-            found = name in header
-            fault = "is there twice" if found else "is missing"
-            cases = [one for one in header if one.lower() == name.lower() and not found]
+            there = name in header
+            fault = "is there twice" if there else "is missing"
+            cases = [one for one in header if one.lower() == name.lower() and not there]
             hint = f"; did you mean {cases[0]}?" if cases else ""
             # the line itself is not shown: a stranger's scene may name any file
             if not any(one[:1].isalpha() for one in header):

@@ -162,14 +162,16 @@ def _panels(solution: Solution, figure: Any) -> Any:
 
 def _components(solution: Solution, ax: Any) -> Any:
     """Components of u over time."""
-    drawn = spread(np.ptp(solution.u, axis=0), len(LOOKS))
-    stuck = solution.velocity[:, drawn] == 0.0
-    draw_histories(ax, solution.t, solution.u[:, drawn], stuck, [f"u[{i}]" for i in drawn])
+    components = spread(np.ptp(solution.u, axis=0), len(LOOKS))
+    stuck = solution.velocity[:, components] == 0.0
+    draw_histories(
+        ax, solution.t, solution.u[:, components], stuck, [f"u[{i}]" for i in components]
+    )
     dim = solution.u.shape[1]
     title = None
-    if dim > len(drawn):
-        title = f"{len(drawn)} of {dim} unknowns, evenly\nfrom least to furthest moved"
-    ax.legend(title=title, fontsize="small", ncols=1 + len(drawn) // 5)
+    if dim > len(components):
+        title = f"{len(components)} of {dim} unknowns, evenly\nfrom least to furthest moved"
+    ax.legend(title=title, fontsize="small", ncols=1 + len(components) // 5)
     ax.set(xlabel="t", ylabel="u", xlim=solution.t[[0, -1]])
     return ax
 

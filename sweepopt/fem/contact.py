@@ -120,10 +120,10 @@ class Yield(Brief):
         radii = self.rows.weight * g
         if self.slip is None or u is None:
             return radii
-        moved = (self.rows.E @ u).reshape(-1, self.rows.block)
+        displacement = (self.rows.E @ u).reshape(-1, self.rows.block)
         G = self.slip_metric
-        along = moved if G is None else np.einsum("kij,kj->ki", G, moved)
-        return radii * self.slip(np.sqrt((moved * along).sum(axis=1)))
+        along = displacement if G is None else np.einsum("kij,kj->ki", G, displacement)
+        return radii * self.slip(np.sqrt((displacement * along).sum(axis=1)))
 
     @property
     def factors(self) -> str:
@@ -494,12 +494,12 @@ def _walk(points: Array, along: Indices) -> list[int]:
     """
     tail, head = along[:, 0], along[:, -1]
     leaving = {node: k for k, node in enumerate(tail.tolist())}
-    walked: dict[int, None] = {}
+    order: dict[int, None] = {}
     for k in np.lexsort((-points[tail, 0], np.isin(tail, head))).tolist():
-        while k is not None and k not in walked:
-            walked[k] = None
+        while k is not None and k not in order:
+            order[k] = None
             k = leaving.get(head[k])
-    return list(walked)
+    return list(order)
 
 
 class SlipStatistics(NamedTuple):

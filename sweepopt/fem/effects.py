@@ -754,8 +754,8 @@ class PrescribedDisplacement(Record):
         moving = [one.on for one in body.effects if isinstance(one, PrescribedDisplacement)]
         still = set(body.clamped or ()) - set(chain.from_iterable(moving))
         for name, nodes, directions in held_directions(body):
-            moved = np.abs((directions * lift[body.nodes.T[nodes]]).sum(axis=1)).max()
-            if name not in {*self.on, *still} and moved > NEGLIGIBLE * np.abs(lift).max():
+            distance = np.abs((directions * lift[body.nodes.T[nodes]]).sum(axis=1)).max()
+            if name not in {*self.on, *still} and distance > NEGLIGIBLE * np.abs(lift).max():
                 raise InputError(
                     f"on: {', '.join(self.on)} shares nodes with {name}, which is held there "
                     f"along d; name both in one effect, or let d be functions that leave {name} "

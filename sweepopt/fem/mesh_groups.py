@@ -41,8 +41,8 @@ def read_abaqus(content: bytes) -> meshio.Mesh:
         "parts of a set in several places": len(set(names)) < len(names),
         "sets of sets": not all(row[:1].isdecimal() for _, _, rows in sets for row in rows),
     }
-    for fault, found in faults.items():
-        if found:
+    for fault, present in faults.items():
+        if present:
             raise InputError(
                 f"has {fault}, which would be mixed up; write one part with one "
                 "*NODE, and behind all elements each set once, as numbers"

@@ -148,17 +148,17 @@ class Report:
         return f"t = {t / seconds:.5g}{unit}"
 
 
-def write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
+def write(report: Report, folder: Path, picture_files: Sequence[str]) -> list[str]:
     """Write all files of a run, pictures by their names; what was written, the summary last."""
     write_dataset(dataset_on_mesh(report), folder / "solution.nc")
-    for path in map(folder.joinpath, drawn):
+    for path in map(folder.joinpath, picture_files):
         if path.suffix != ".png":
             pictures.animate(report, path, path.stem)
             continue
         with io.replacing(path) as part:
             pictures.draw(report, path.stem).savefig(part)
     series = [path.relative_to(folder).as_posix() for path in write_vtu(report, folder)]
-    files = ["solution.nc", *drawn, *series]
+    files = ["solution.nc", *picture_files, *series]
     write_summary(report, folder, files)
     return [*files, SUMMARY]
 

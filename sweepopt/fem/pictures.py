@@ -131,7 +131,7 @@ def contact(report: Report) -> Any:
     figure, loaded = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
     _, seconds = report.clock
     panels = figure.subplots(3 + loaded, 1, sharex=True)
-    zone, moved, traction = panels[:3]
+    zone, displacement, traction = panels[:3]
     colours = ListedColormap(list(STATE_COLOURS.values()))
     _over_time(report, slip, zone, slip.state, cmap=colours, vmin=-1.5, vmax=1.5)
     # points that slip from little to far
@@ -144,10 +144,14 @@ def contact(report: Report) -> Any:
     names = slip.contact.boundary
     places = [f"{names[node]}, {length(float(f'{arc[node]:.3g}'))}" for node in nodes]
     draw_histories(
-        moved, slip.t / seconds, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places
+        displacement,
+        slip.t / seconds,
+        slip.displacement[:, nodes],
+        slip.state[:, nodes] == 0,
+        places,
     )
-    name_axis(report, moved.yaxis, "displacement", "length")
-    legend_above(moved, 5)
+    name_axis(report, displacement.yaxis, "displacement", "length")
+    legend_above(displacement, 5)
     traction.set(ylabel="traction / bound\n(above 1: error of the step)", ylim=(-1.15, 1.15))
     if loaded:
         _, load, (_, name) = driven(report.scene, report.solution)
@@ -178,18 +182,18 @@ def profiles(report: Report) -> Any:
     """Slip and friction along the contact at five even times; the bound of t = 0 is dashed."""
     slip = report.slip
     figure = new_figure((8.5, 6.5))
-    moved, traction = figure.subplots(2, 1, sharex=True)
+    displacement, traction = figure.subplots(2, 1, sharex=True)
     (low, high, name), arc = _slip_range(slip), slip.contact.arc
     inside = np.flatnonzero((low <= arc) & (arc <= high))
     arc, bound = arc[inside], slip.contact.bound[inside]
     chosen = even_steps(report.solution, 5)
     for i, look in zip(chosen.tolist(), LOOKS, strict=False):
-        moved.plot(arc, slip.displacement[i + 1, inside], **look)
+        displacement.plot(arc, slip.displacement[i + 1, inside], **look)
         traction.plot(arc, slip.traction[i, inside], label=report.moment(slip.t[i + 1]), **look)
     names = ["bound, t = 0", "_"]  # of two lines one is in the legend
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8, label=names)
     legend_above(traction, 3)
-    name_axis(report, moved.yaxis, "displacement", "length")
+    name_axis(report, displacement.yaxis, "displacement", "length")
     name_axis(report, traction.xaxis, name, "length")
     name_axis(report, traction.yaxis, "friction traction", "traction")
     return figure

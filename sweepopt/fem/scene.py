@@ -274,8 +274,8 @@ class Scene(Displayed):
             If matplotlib, h5netcdf or h5py is not installed.
         """
         folder = folder_at("folder", as_path("folder", folder))
-        drawn = [f"{name}.png" for name in pictures.pictures_of(self)]
-        output.write(output.Report(self, solution, name=folder.name), folder, drawn)
+        picture_files = [f"{name}.png" for name in pictures.pictures_of(self)]
+        output.write(output.Report(self, solution, name=folder.name), folder, picture_files)
         return folder
 
     @with_checks
@@ -761,7 +761,7 @@ def _on_all_unknowns(
     dim: int, parts: Sequence[Contribution], internal: Sequence[slice]
 ) -> list[Contribution]:
     """The parts on all unknowns: internal ones follow those of the body in order."""
-    every, placed = sp.eye_array(internal[-1].stop if internal else dim, format="csr"), []
+    every, result = sp.eye_array(internal[-1].stop if internal else dim, format="csr"), []
     for part, own in zip(parts, internal, strict=True):
         E = every[np.r_[:dim, own]]
         A, B = (
@@ -771,8 +771,8 @@ def _on_all_unknowns(
             replace(one, rows=replace(one.rows, E=one.rows.E @ E[: one.rows.E.shape[1]]))
             for one in part.yields
         ]
-        placed.append(replace(part, A=A, B=B, yields=yields))
-    return placed
+        result.append(replace(part, A=A, B=B, yields=yields))
+    return result
 
 
 class _Load(NamedTuple):

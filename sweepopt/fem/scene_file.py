@@ -488,18 +488,18 @@ def remaining(labels: list[str], without: Sequence[str]) -> list[str]:
     >>> remaining(["effects.friction", "effects.traction[0]"], ["traction"])
     ['effects.friction']
     """
-    kept = labels
+    rest = labels
     for name in names_of(without):
         wanted = f"effects.{str(name).removeprefix('effects.')}"
-        gone = [one for one in labels if one == wanted or one.startswith(f"{wanted}[")]
-        if not gone:
+        matches = [one for one in labels if one == wanted or one.startswith(f"{wanted}[")]
+        if not matches:
             names = [one.removeprefix("effects.") for one in labels]
             raise InputError(
                 f"without: there is no effect {shown(name)}; there are: {', '.join(names)}"
                 f"{suggestion(name, names)}"
             )
-        kept = [one for one in kept if one not in gone]
-    return kept
+        rest = [one for one in rest if one not in matches]
+    return rest
 
 
 # ---- what the effects of a scene cost: the scene beside itself without each of them ----
@@ -572,14 +572,14 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
     first steps of the run are timed.
     """
     h, ends = scene.t_end / scene.steps, np.linspace(scene.steps, 0, steps, False, dtype=int)
-    taken = np.unique(np.maximum(np.subtract.outer(ends, [scene.steps, 2, 1, 0]), 0))
+    nodes = np.unique(np.maximum(np.subtract.outer(ends, [scene.steps, 2, 1, 0]), 0))
     with catch_warnings():
         simplefilter("ignore", StabilityWarning)  # of the long ones
         try:
-            solution = scene.solve(t_end=None, steps=h * taken)
+            solution = scene.solve(t_end=None, steps=h * nodes)
         except SweepoptError:
-            taken = ends = np.arange(min(steps, scene.steps) + 1)
-            solution = scene.solve(t_end=None, steps=h * taken)
+            nodes = ends = np.arange(min(steps, scene.steps) + 1)
+            solution = scene.solve(t_end=None, steps=h * nodes)
     plan, process = solution.plan, solution.process
     stats = solution.stats[np.isin(solution.t[1:], h * ends)]
     A, B = (0 if M is None else int(M.count_nonzero()) for M in (process.A, process.B))
@@ -599,11 +599,11 @@ def _cost(scene: Scene, steps: int) -> dict[str, Any]:
 
 def _sets(scene: Scene) -> str:
     """How many sets of each shape."""
-    counted: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for one in scene.yields:
         size, cone = one.rows.block, one.slopes is not None
         name = f"{'cones' if cone else 'balls' if one.metric is None else 'ellipses'} in R^{size}"
         if size == 1:
             name = "intervals" if one.shape == "ball" else "half-lines"
-        counted[name] += len(one.rows.weight)
-    return ", ".join(f"{m} {name}" for name, m in counted.items())
+        counts[name] += len(one.rows.weight)
+    return ", ".join(f"{m} {name}" for name, m in counts.items())

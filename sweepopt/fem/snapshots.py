@@ -112,9 +112,9 @@ def displacement(report: Report, steps: Array) -> Field:
         for name in boundary_names(f"{type(one).__name__}.pulled", one.pulled)
     ]
     arcs, look, label = list[Any](), colours_of(u), OUT
-    moved = np.broadcast_to(x, (len(steps), *x.shape))
+    positions = np.broadcast_to(x, (len(steps), *x.shape))
     if body.components > 1:
-        moved, label = _moved(report, steps, SIZE)
+        positions, label = _deformed_nodes(report, steps, SIZE)
     clamped = [name for name in body.clamped or () if name not in pulled]
     for what, names, colour in (("clamped", clamped, "black"), ("pulled", pulled, PULLED)):
         if names:
@@ -122,14 +122,14 @@ def displacement(report: Report, steps: Array) -> Field:
             legend[colour] = what
 
     def draw(panel: Any, i: int) -> Any:
-        image = _fill(report, panel, moved[i], u[i], **look)
+        image = _fill(report, panel, positions[i], u[i], **look)
         for facets, colour in arcs:
-            edges: Any = moved[i][body.facet_nodes(facets).T]
+            edges: Any = positions[i][body.facet_nodes(facets).T]
             panel.add_collection(LineCollection(edges, colors=colour, lw=3.0))
-        _mark(report, panel, steps[i], moved[i])
+        _mark(report, panel, steps[i], positions[i])
         return image
 
-    return Field(draw, moved.reshape(-1, 2), label, "length", legend)
+    return Field(draw, positions.reshape(-1, 2), label, "length", legend)
 
 
 def surface(report: Report, steps: Array) -> Field:
@@ -161,7 +161,7 @@ def _deformed(
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     body, contact = report.body, report.scene.contact
-    moved, label = _moved(report, steps, label)
+    positions, label = _deformed_nodes(report, steps, label)
     triangles, look = body.triangles, colours_of(faces, rising)
     faces = np.tile(faces, len(triangles) // faces.shape[1])  # the parts of a P2 element
     below = contact is not None and contact.points[:, 2].mean() < body.points[:, 2].mean()
@@ -169,13 +169,13 @@ def _deformed(
 
     def render(panel: Any, i: int) -> Any:
         plotter = pyvista.Plotter(off_screen=True, window_size=(800, 600))
-        shape = pyvista.PolyData.from_regular_faces(moved[i], triangles)
+        shape = pyvista.PolyData.from_regular_faces(positions[i], triangles)
         how = {"clim": (0.0, look["vmax"]), "cmap": look["cmap"], "show_scalar_bar": False}
         plotter.add_mesh(shape, scalars=faces[i], show_edges=True, lighting=False, **how)
         if contact is not None:
             colours = to_rgba_array(_colours(report, steps[i]))[:, :3]
             how = {"render_points_as_spheres": True, "point_size": 12, "lighting": False}
-            plotter.add_points(moved[i, contact.node], scalars=colours, rgb=True, **how)
+            plotter.add_points(positions[i, contact.node], scalars=colours, rgb=True, **how)
         plotter.show_axes()
         plotter.view_vector((0.5, -0.9, 0.6 - 1.2 * below), viewup=(0.0, 0.0, 1.0))
         plotter.camera.zoom(1.2)
@@ -188,18 +188,18 @@ def _deformed(
         return Field(render, np.zeros((1, 2)), label, quantity, legend, ())
 
     def draw(panel: Any, i: int) -> Any:
-        artist = Poly3DCollection(moved[i, triangles], ec="0.3", lw=0.2, cmap=look["cmap"])
+        artist = Poly3DCollection(positions[i, triangles], ec="0.3", lw=0.2, cmap=look["cmap"])
         artist.set(array=faces[i], clim=(0.0, look["vmax"]))
         panel.add_collection3d(artist)
-        _mark(report, panel, steps[i], moved[i], depthshade=False)
+        _mark(report, panel, steps[i], positions[i], depthshade=False)
         panel.view_init(elev=30 - 60 * below, azim=-60)
-        panel.set_box_aspect(np.ptp(moved, axis=(0, 1)))
+        panel.set_box_aspect(np.ptp(positions, axis=(0, 1)))
         return artist
 
-    return Field(draw, moved.reshape(-1, 3), label, quantity, legend)
+    return Field(draw, positions.reshape(-1, 3), label, quantity, legend)
 
 
-def _moved(report: Report, steps: Array, label: str) -> tuple[Array, str]:
+def _deformed_nodes(report: Report, steps: Array, label: str) -> tuple[Array, str]:
     """The nodes of a deformed body, and the label of a bar of colours that says how far.
 
     The largest displacement is drawn as a tenth of the body's length.

@@ -129,13 +129,13 @@ def dominates(P: Matrix, Q: Matrix, by_factors: bool = True) -> bool:
     # what factors of bodies of n unknowns round
     shift = rounding / w + 64 * math.sqrt(len(w)) * UNIT * diagonal
     for _ in range(2 * by_factors):
-        taken = sp.diags_array(shift) if sp.issparse(M) else np.diag(shift)
-        needed = SUMS * (rounding + _backward_error(M - taken, w)) / w
-        if (needed <= shift).all():
+        diagonal_part = sp.diags_array(shift) if sp.issparse(M) else np.diag(shift)
+        error = SUMS * (rounding + _backward_error(M - diagonal_part, w)) / w
+        if (error <= shift).all():
             return True
-        if needed.max() == math.inf:
+        if error.max() == math.inf:
             return False
-        shift = np.maximum(shift, 1.1 * needed)
+        shift = np.maximum(shift, 1.1 * error)
     return False
 
 

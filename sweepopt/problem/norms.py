@@ -56,10 +56,10 @@ class Norm:
         scale = 1 / math.sqrt(self.beta) if self.beta else math.inf
         with np.errstate(invalid="ignore"):
             rest = np.where(size == 0, 0.0, scale * size)  # of NaN it is NaN, not 0
-        counted = rest > LEAST_SHARE * np.broadcast_to(beside, w.shape[:-2]).reshape(-1, 1)
+        relevant = rest > LEAST_SHARE * np.broadcast_to(beside, w.shape[:-2]).reshape(-1, 1)
         solved = np.zeros_like(family)
-        if self._factor is not None and counted.any():
-            solved[counted], rest[counted] = self._factor.solve_many(family[counted]), 0.0
+        if self._factor is not None and relevant.any():
+            solved[relevant], rest[relevant] = self._factor.solve_many(family[relevant]), 0.0
         products = np.where((rest == 0)[:, :, None], family, 0.0) @ np.swapaxes(solved, 1, 2)
         shape = w.shape[:-1]
         return Products(products.reshape(*shape, shape[-1]), rest.reshape(shape))

@@ -394,12 +394,12 @@ class SweepingProcess(Displayed):
         VariationWarning
             Naming the times and sizes of the first ones.
         """
-        found = [sentence for _, sentence in jumps(self.C, self.metric, start, end)]
-        if found:
-            rest = len(found) - 5
+        sentences = [sentence for _, sentence in jumps(self.C, self.metric, start, end)]
+        if sentences:
+            rest = len(sentences) - 5
             more = f", and {rest} more" if rest > 0 else ""
             warn(
-                f"C(t) jumps {', '.join(found[:5])}{more}, in the norm of A^-1. The "
+                f"C(t) jumps {', '.join(sentences[:5])}{more}, in the norm of A^-1. The "
                 "theory asks for a C(t) that moves absolutely continuously; the steps are solved "
                 "all the same, and are most accurate if they end at the jumps",
                 VariationWarning,

@@ -118,9 +118,9 @@ class StateFiles:
         """The states so far; no more are written."""
         with self._nodes, self._velocities:
             nodes, velocities = map(self._rows, (self._nodes, self._velocities))
-        done = min(len(nodes) - 1, len(velocities))
-        u, velocity = nodes[: done + 1], velocities[:done]
-        return States(np.arange(done), u.__getitem__, velocity.__getitem__)
+        count = min(len(nodes) - 1, len(velocities))
+        u, velocity = nodes[: count + 1], velocities[:count]
+        return States(np.arange(count), u.__getitem__, velocity.__getitem__)
 
     def _rows(self, file: _Storage) -> Array:
         """Those that are whole, read when asked for."""

@@ -106,10 +106,10 @@ def compare(
         parts.append(part.assign(solver=solver.name, setting=setting, accuracy=ACCURACIES[setting]))
         solved = (part.certificate <= ACCURACIES[setting]).mean()
         progress(f"{k} of {len(solvers)}: {solver.name} {setting}: solved {solved:.3g}")
-    tried = concat(parts)
-    tried["solved"] = tried.certificate <= tried.accuracy
-    tried["time"] = tried.seconds.where(tried.solved, tried.seconds.max())
-    table = tried.groupby(["solver", "setting", "accuracy"], sort=False, as_index=False).agg(
+    rows = concat(parts)
+    rows["solved"] = rows.certificate <= rows.accuracy
+    rows["time"] = rows.seconds.where(rows.solved, rows.seconds.max())
+    table = rows.groupby(["solver", "setting", "accuracy"], sort=False, as_index=False).agg(
         programs=("certificate", "size"),
         solved=("solved", "mean"),
         time=("time", shifted_mean),

@@ -221,9 +221,9 @@ def run(
     if executor is not None and any(cell.problem.own for cell in cells):
         raise InputError("executor: processes of one's own are computed here; leave it out")
     folder = folder_at("folder", as_path("folder", folder))
-    done = set(read_table(study, folder).run)
-    jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
-    progress(f"{len(cells)} runs, {len(done)} of them finished before")
+    finished = set(read_table(study, folder).run)
+    jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in finished]
+    progress(f"{len(cells)} runs, {len(finished)} of them finished before")
     for k, row in enumerate(_compute(jobs, executor), start=1):
         _append_row(folder / ROWS, row)
         progress(f"{k} of {len(jobs)}: {row.run}: {row.status}")
@@ -266,18 +266,18 @@ def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
         yield from (run_cell(*job) for job in jobs)
         return
     futures = {executor.submit(run_cell, *job): job for job in jobs}
-    lost = []
+    unfinished = []
     try:
         for future in as_completed(futures):
             error = future.exception()
             if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
-                lost.append(futures[future])
+                unfinished.append(futures[future])
             else:
                 yield future.result()
     finally:
         for future in futures:
             future.cancel()
-    for job in lost:
+    for job in unfinished:
         with processes(1) as alone:
             try:
                 yield alone.submit(run_cell, *job).result()
