@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():  # as one line without a source file
             warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
-            code: int = options.command(options) or 0
+            code = options.command(options) or 0
             print(end="", flush=True)
             return code
     except UnstableStepError as error:
@@ -187,7 +187,7 @@ def _study(options: argparse.Namespace) -> None:
     folder = options.out or Path("results") / path.stem
     data, parts = read_parts(path)
     table, solutions, files = None, {}, []
-    suites: dict[str, list[Any]] = {}
+    suites = {}
     folder_at("--out", folder)
     if not parts or data.keys() - {"title"}:
         study = room.read_study(path)

@@ -16,7 +16,7 @@ Rows = Iterable[tuple[str, object]]
 Made = TypeVar("Made")
 COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#0072B2")
 """Told apart with every common colour vision (Okabe and Ito)."""
-FORMAT: Any = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
+FORMAT = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
 """Of tables that pandas prints."""
 
 

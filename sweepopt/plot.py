@@ -144,7 +144,7 @@ def _panels(solution: Solution, figure: Any) -> Any:
         return panels
     panels = figure.subplots(3, sharex=True)
     _components(solution, panels[0])
-    line: Any = {"baseline": None, "color": COLOURS[0], "lw": 1.5}
+    line = {"baseline": None, "color": COLOURS[0], "lw": 1.5}
     panels[1].stairs(solution.velocity[:, 0], solution.t, **line)
     # over all of a step what it has in its middle, as u' jumps between steps
     panels[2].stairs(force[:, 0], ends, label="A u' + B u", **line)

@@ -371,7 +371,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         )
         metric, of_slip = (_metric(body, some @ tangents[mine], axes) for axes in (law.axes, None))
         blocks = Rows(_at_nodes(body, k, some), block, weight[k], "trace" if boundary else "nodes")
-        g: Any = partial(moving_bound, k) if by_formula else bound
+        g = partial(moving_bound, k) if by_formula else bound
         if law.history is not None and not by_formula:
             g = Separable([(law.history, bound)])
         histories = () if law.history is None else (law.history,)

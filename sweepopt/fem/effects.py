@@ -242,7 +242,7 @@ class StrainLaw(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix; none if it is zero everywhere."""
-        S: Any = _stiffness(body, self)
+        S = _stiffness(body, self)
         return Contribution(**{self.matrix: S}) if S.count_nonzero() else Contribution()
 
     def stress(self, body: Discretisation) -> Stress | None:
@@ -357,8 +357,8 @@ class Elasticity(StrainLaw):
 
     def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
-        lam: Any = 0.0
-        mu: Any = None
+        lam = 0.0
+        mu = None
         if self.kappa is not None:
             if body.components > 1:
                 raise InputError("kappa is for antiplane shear; give E and nu")

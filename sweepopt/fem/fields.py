@@ -16,7 +16,7 @@ from sweepopt.loads import check_points
 
 Indices = NDArray[np.int64]
 
-DIRECTIONS: dict[str, Callable[[Array], Array]] = {
+DIRECTIONS = {
     "x": lambda x: x[0],
     "y": lambda x: x[1],
     "z": lambda x: x[2],
@@ -88,11 +88,11 @@ Datum = float | str | Mapping[str, float] | Profile | Callable[..., ArrayLike]
 """What an effect takes for a coefficient. A function gets x of shape (d, ...), and the time if it
 takes two arguments, and returns numbers of shape (...)."""
 
-FUNCTIONS: dict[Any, np.ufunc] = {
+FUNCTIONS = {
     name: getattr(np, name)
     for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "minimum", "maximum")
 }
-OPERATORS: dict[Any, np.ufunc] = {
+OPERATORS = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
     ast.Mult: np.multiply,

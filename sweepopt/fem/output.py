@@ -289,7 +289,7 @@ def _of_mesh(report: Report) -> Variables:
     scene, body = report.scene, report.body
     u, velocity = scene.displacement(report.solution), scene.velocity(report.solution)
     vector = " component" if body.components > 1 else ""
-    rows: Variables = {
+    rows = {
         "displacement": (f"time node{vector}", "length", u, "displacement"),
         "velocity": (f"step node{vector}", "velocity", velocity, "velocity in each step"),
     }

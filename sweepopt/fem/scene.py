@@ -688,7 +688,7 @@ def _problem(
         return EvolutionVI(A, B, load=force, dissipation=D, u0=u0, fields=fields)
 
     def at(t: float, u: Array | None = None) -> ConvexSet:
-        C: ConvexSet = -D(t, u)
+        C = -D(t, u)
         return C if force is None else C + force(t)
 
     histories = [phi for one in yields for phi in one.histories]

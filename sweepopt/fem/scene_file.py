@@ -78,9 +78,9 @@ MISSING = {
 }
 """Ends of messages that a key is missing."""
 
-WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
+WAVEFORMS = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""
-PLAIN: dict[str, tuple[type, str]] = {
+PLAIN = {
     "float": (Real, "a number without quotes"),
     "int": (Integral, "a whole number without quotes"),
     "str": (str, "text in quotes"),
@@ -322,7 +322,7 @@ def effect_tables(tables: Any, without: Sequence[str]) -> dict[str, tuple[type, 
             named |= {f"effects.{name}[{k}]": (name, one) for k, one in enumerate(table)}
         else:
             named[f"effects.{name}"] = name, table
-    kinds: dict[str, tuple[type, Any]] = {}
+    kinds = {}
     for label in remaining(list(named), without):
         name, table = named[label]
         if name not in EFFECTS:

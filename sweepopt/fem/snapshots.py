@@ -124,7 +124,7 @@ def displacement(report: Report, steps: Array) -> Field:
     def draw(panel: Any, i: int) -> Any:
         image = _fill(report, panel, positions[i], u[i], **look)
         for facets, colour in arcs:
-            edges: Any = positions[i][body.facet_nodes(facets).T]
+            edges = positions[i][body.facet_nodes(facets).T]
             panel.add_collection(LineCollection(edges, colors=colour, lw=3.0))
         _mark(report, panel, steps[i], positions[i])
         return image
@@ -377,7 +377,7 @@ def _page(report: Report, field: Field, steps: Array) -> tuple[Any, Any]:
     rows = -(-len(steps) // 3)
     columns = -(-len(steps) // rows)
     figure = new_figure((max(4.0 * columns, 5.5), 3.5 * rows))  # a legend is wide
-    kind: Any = {"projection": "3d"} if field.points.shape[1] == 3 else {}
+    kind = {"projection": "3d"} if field.points.shape[1] == 3 else {}
     panels = [figure.add_subplot(rows, columns, k, **kind) for k in range(1, len(steps) + 1)]
     for i, panel in enumerate(panels):
         image = _draw(report, field, panel, steps, i)

@@ -47,7 +47,7 @@ KINDS = {
     "lumped": (1,),
 }
 """Dimensions of the mesh of each kind of body."""
-ELEMENTS: dict[str, tuple[skfem.Element, ...]] = {
+ELEMENTS = {
     "P1": (skfem.ElementLineP1(), skfem.ElementTriP1(), skfem.ElementTetP1()),
     "P2": (skfem.ElementLineP2(), skfem.ElementTriP2(), skfem.ElementTetP2()),
 }

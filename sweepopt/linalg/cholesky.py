@@ -31,7 +31,7 @@ from sweepopt.checks import Array, Matrix
 from sweepopt.linalg.matrices import Reduced, euclidean
 from sweepopt.linalg.ordering import fill_reducing, triangle
 
-SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
 # in the order it is given: L D L^T, or where L is dense enough by CHOLMOD's count L L^T in blocks
 SETTINGS = {"supernodal": 1, "nmethods": 1, "postorder": False}
