@@ -303,8 +303,6 @@ def _physical_memory() -> float:
 def is_semidefinite(M: Matrix) -> bool:
     """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units."""
     diagonal = M.diagonal()
-    if (diagonal < 0).any():
-        return False
     # a zero on the diagonal of a semidefinite matrix has a zero row
     empty = diagonal == 0
     if abs(M[empty]).sum() > 0:
