@@ -402,8 +402,7 @@ def _straight(mesh: skfem.Mesh) -> skfem.Mesh:
     """With the same corners, numbers and names, and straight edges."""
     if not isinstance(mesh, skfem.MeshTri2):
         return mesh
-    corners = np.ascontiguousarray(mesh.p[:, : mesh.nvertices])
-    return _with_names(skfem.MeshTri(corners, mesh.t), mesh)
+    return _with_names(skfem.MeshTri.from_mesh(mesh), mesh)
 
 
 def _with_names(mesh: skfem.MeshTri, other: skfem.MeshTri) -> skfem.MeshTri:
