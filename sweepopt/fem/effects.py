@@ -214,8 +214,6 @@ class StrainLaw(Record):
         Groups of fields of which one is given.
     moduli : callable (body, place)
         lam and mu at the points of a quadrature; mu is None where a tensor is given.
-    deformation : callable (body, motion)
-        The displacement or velocity, at all nodes, whose strain it is.
     matrix : {"A", "B"}
         The matrix that it adds.
     """
@@ -224,7 +222,6 @@ class StrainLaw(Record):
     choices: ClassVar[tuple[tuple[str, ...], ...]]
     tensor: Any
     moduli: Any
-    deformation: Any
 
     def __post_init__(self) -> None:
         fields = [name for names in self.choices for name in names]
@@ -244,6 +241,10 @@ class StrainLaw(Record):
         """The matrix; none if it is zero everywhere."""
         S = _stiffness(body, self)
         return Contribution(**{self.matrix: S}) if S.count_nonzero() else Contribution()
+
+    def deformation(self, body: Discretisation, motion: Kinematics) -> Array:
+        """What it strains, at all nodes: u' if its matrix is A, u if it is B."""
+        return motion.rate if self.matrix == "A" else motion.u
 
     def stress(self, body: Discretisation) -> Stress | None:
         """2 mu dev e, at the points of strains; not known of a tensor."""
@@ -301,10 +302,6 @@ class Viscosity(StrainLaw):
     data = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
     matrix, choices = "A", (("eta",), ("tensor",))
 
-    def deformation(self, body: Discretisation, motion: Kinematics) -> Array:
-        """u'."""
-        return motion.rate
-
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """zeta and eta at the points of a quadrature; eta is None where a tensor is given."""
         *eta, zeta = self.values_at(place)
@@ -350,10 +347,6 @@ class Elasticity(StrainLaw):
         ("young", "poisson", "mu", "G", "lam", "lambda", "K"),
         "; give E, Young's modulus, and nu, Poisson's ratio, or kappa in antiplane shear",
     )
-
-    def deformation(self, body: Discretisation, motion: Kinematics) -> Array:
-        """u."""
-        return motion.u
 
     def lame(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
