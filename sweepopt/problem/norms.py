@@ -96,7 +96,7 @@ class Norms:
                 "with a run of twice the steps"
             )
         self.A, self.B = Norm(metric.M, metric), Norm(B, factor)
-        self.coercivity = 0.0 if self.weak else self.A.beta
+        self.coercivity = process.beta
         self.lam, self.Lam = 0.0, 0.0 if self.weak else process.Lam
         if not (self.weak or factor is None):
             self.lam = math.nextafter(1 / largest_ratio(factor, process.A), 0.0)
