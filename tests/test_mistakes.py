@@ -101,6 +101,17 @@ def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set():
         assert two.rate_independent
 
 
+def test_cones_of_a_users_effect_beside_an_indefinite_matrix_are_refused():
+    def cones(body):
+        rows = fem.Rows(sp.eye_array(body.dim + 2, format="csr")[body.dim :], 2, [1.0], "internal")
+        B = sp.diags_array(np.append(np.zeros(body.dim), [-1.0, -1.0]))
+        yields = [fem.Yield(rows, [1.0], slopes=np.ones(1))]
+        return fem.Contribution(B=B, internal=2, yields=yields)
+
+    with refuses(r"^B must be positive semidefinite, but B\[6, 6\] = -1"):
+        contributed(cones)
+
+
 def test_an_effect_that_is_registered_as_an_object_is_named(monkeypatch):
     monkeypatch.setitem(fem.EFFECTS, "given", Given(None))
     with refuses(r"EFFECTS\['given'\] must be a class .*, got G"):

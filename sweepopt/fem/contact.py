@@ -117,7 +117,7 @@ class Yield(Brief):
         with at_path(self.label):
             g = self.g(t) if callable(self.g) else self.g
             _require_bounds(self.factors, g)
-        radii = self.rows.weight * g
+        radii = np.multiply(self.rows.weight, g)  # lists of a user, too
         if self.slip is None or u is None:
             return radii
         displacement = (self.rows.E @ u).reshape(-1, self.rows.block)

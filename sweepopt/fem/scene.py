@@ -606,7 +606,7 @@ def _blaming(effects: Mapping[str, Any], parts: Sequence[Contribution]) -> Itera
     except InputError as error:
         for (label, effect), part in zip(effects.items(), parts, strict=True):
             cones = any(one.slopes is not None for one in part.yields)
-            if cones and isinstance(error, IndefiniteError) and not effect.Hk:
+            if cones and isinstance(error, IndefiniteError) and not getattr(effect, "Hk", True):
                 raise InputError(
                     f"{label}.Hk: isotropic hardening alone is not offered beside a yield stress, "
                     "or friction with axes, on walls that meet at an angle or where another effect "
