@@ -15,10 +15,22 @@ ELLIPSE = so.Moving(
     so.image([[1.4, 0.3], [0.0, 0.9]], so.Ball([0.0, 0.0], 1.0)), so.Separable([(ARC, [0.4, 1.0])])
 )
 H = so.Separable([(so.Constant(), [0.9, 0.8, 1.0]), (WAVE, [1.0, -0.4, 0.1])])
+JUMPS = so.Table([0.0, 0.2, 0.4, 0.6], [0.0, 0.02, -0.01, 0.02]).rate()
+JERKED = so.Moving(
+    so.Ball([0.2, 0.1], 1.0), so.Separable([(JUMPS, [1.0, 2.0]), (WAVE, [0.5, 0.0])])
+)
 ROWS = so.Polyhedron([[1.0, 0.2], [-1.0, 0.5], [0.0, -1.0]], H)
 
 
-@pytest.mark.parametrize("C", [DISC & ELLIPSE, so.image([[1.0, 0.3], [0.2, -1.0]], DISC & ROWS)])
+@pytest.mark.parametrize(
+    "C",
+    [
+        DISC & ELLIPSE,
+        so.image([[1.0, 0.3], [0.2, -1.0]], DISC & ROWS),
+        JERKED & ELLIPSE,
+        JERKED & so.Moving(so.Box([-1.0, 0.0], [1.0, 0.0]), so.Separable([(JUMPS, [1.0, 2.0])])),
+    ],
+)
 def test_curves_are_in_sets_that_move_separately_and_bounds_of_gaps_are_not_below_them(C):
     random = np.random.default_rng(3)
     times = np.linspace(0.0, 0.6, 4)
@@ -64,6 +76,41 @@ def test_few_long_steps_have_a_guaranteed_bound():
     bound, error = sol.error_bound(), max(map(process.metric.norm, sol(fine.t) - fine.u))
     assert bound.guaranteed
     assert error < bound < 3 * error
+
+
+class Wave:
+    """A function of which only the variation is known."""
+
+    def __call__(self, t):
+        return 0.4 * np.sin(2 * np.pi * t)
+
+    def variation(self, a, b):
+        return 0.4 * 2 * np.pi * (b - a)
+
+
+SMALL = so.Box([-0.1, -0.15], [0.1, 0.1])
+
+
+@pytest.mark.parametrize(
+    "C",
+    [
+        JERKED & so.Moving(SMALL, so.Separable([(WAVE, [0.5, 0.3])])),
+        DISC & so.Moving(SMALL, so.Separable([(Wave(), [1.0, 0.3])])),
+        so.product(
+            DISC & ELLIPSE, so.Moving(so.HalfSpace(1.0, 0.1), so.Separable([(WAVE, [1.0])]))
+        ),
+    ],
+    ids=["jumps", "variation", "unbounded"],
+)
+def test_parts_that_jump_or_are_unbounded_have_a_guaranteed_bound(C):
+    B = np.eye(C.dim) + 0.3
+    u0 = np.linalg.solve(2 * B, C.at(0.0).project(np.zeros(C.dim)))
+    process = so.SweepingProcess(0.1 * B, 2 * B, C, u0)
+    sol = so.solve(process, t_end=0.6, steps=3, scheme="sdirk2")
+    fine = so.solve(process, steps=np.linspace(0.0, 0.6, 97), scheme="sdirk2")
+    bound, error = sol.error_bound(), max(map(process.metric.norm, sol(fine.t) - fine.u))
+    assert bound.guaranteed
+    assert error < bound < 5 * error
 
 
 def test_a_bound_finds_what_the_run_took_for_rest():

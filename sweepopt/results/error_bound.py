@@ -172,6 +172,7 @@ def error_bound(
     data = motion(process.C)
     separate = not (data.summands or variation or unknown(process.C, data, float(run.t[0])))
     kind = 3 - moves_straight(process.C) if separate else kind
+    best = best if not separate or process.C.at(float(run.t[0])).is_bounded else "straight"
     programs = WORK[kind] * len(plan.scheme.b)
     parts = WORK[kind] if separate and len(plan.scheme.b) == 1 else 1 if stiff else 2
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)

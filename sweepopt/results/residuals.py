@@ -7,7 +7,7 @@ bounds: G by the convexity of sigma, r as a polynomial plus the interpolation er
 histories; a sum of several S with scales has a curve in each. Where C(t) = { w : G w <= h(t) } is
 data, w is a curve whose Bernstein coefficients are projections on the sets of h's Bernstein
 coefficients, and weak duality bounds sigma. Where it is made of sets that move separately w is a
-parabola, as these sets are concave in their data (`separate`). For any other
+cubic, as these sets are concave in their data (`separate`). For any other
 C(t) whose variation is known, S is the set at the middle of a part of the step: the distance d of
 w(t) to s(t) is at most the variation on half of the part, and adds 2 |v'| d to the bound of G, so
 that the bound falls as sqrt(d). Otherwise both integrals are sampled, and are no bounds.
@@ -16,7 +16,7 @@ that the bound falls as sqrt(d). Otherwise both integrals are sampled, and are n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -48,7 +48,7 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.results.separate import HALVES, HALVES_TO_BERNSTEIN, gap, has_curves, within_separate
+from sweepopt.results.separate import THIRDS, gap, has_curves, within_separate
 from sweepopt.sets import (
     ROUNDING,
     Aligned,
@@ -59,9 +59,11 @@ from sweepopt.sets import (
     basis,
     kind_without_certificate,
     points_of_sum,
+    to_bernstein,
 )
 
-THIRDS = np.arange(4) / 3
+HALVES = np.array([0.0, 0.5, 1.0])
+HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
 
 LOBATTO = np.stack([1 - GAUSS, GAUSS, GAUSS * (1 - GAUSS), GAUSS * (1 - GAUSS)], axis=1)
 LOBATTO[:, 3] *= 1 - 2 * GAUSS
@@ -80,13 +82,13 @@ PARTS_OF_STEP = 3
 SETS_OF_STEP = 8
 """Sets of a function t -> C on each step: four times as many give half the bound. With 8 a bound
 takes 6 times as long as the run of a box."""
-PARTS_IF_EMPTY = (1, 8)
-"""Parts of a step with rows that move or sets that move separately: 8 if a set of coefficients is
-empty with 1. With 1 alone 43 of 289 runs had no guaranteed bound, with both 14 of 176 others; of
-25 with separate sets, on 3 to 6 steps in all, 13 and none."""
+LEAST_PART = 1 / 8
+"""Of a step: parts on which a set of coefficients is empty are halved until they are that short.
+Without halving, 43 of 289 runs with rows that move had no guaranteed bound, with eight parts 14 of
+176 others."""
 NEARLY_EMPTY = (
-    "C(t) is next to empty at times: give a set that closes to a point as so.Moving(set, center, "
-    "scale), and to others more steps"
+    "C(t) is flat or next to empty at times: give a set that closes to a point as so.Moving(set, "
+    "center, scale), and to others more steps"
 )
 LEAST_STIFFNESS = 8
 """int |r'| is computed on steps with a larger step * Lam only. On others it does not make the bound
@@ -138,15 +140,22 @@ class _Model(NamedTuple):
     summands: list[tuple[TimeFunction, list[ConvexSet]]]
     distance: Array
     members: list[Array] | None = None
-    points: dict[float, Array] | None = None
+    points: dict[Any, Any] | None = None
 
-    def on(self, some: slice, copies: int) -> _Model:
+    def on(self, some: slice, copies: int = 1) -> _Model:
         """The same on some of the intervals, so many times."""
         return self._replace(
             intervals=Intervals(*(np.tile(x[some], copies) for x in self.intervals)),
             summands=[(r, S[some] * copies if len(S) > 1 else S) for r, S in self.summands],
             distance=np.tile(self.distance[some], copies),
         )
+
+    def halved(self) -> _Model:
+        """The same on the halves of its one interval."""
+        (i,), (a,), (b,) = self.intervals
+        ends = np.array([a, 0.5 * (a + b), b])
+        intervals = Intervals(np.array([i, i]), ends[:-1], ends[1:])
+        return self._replace(intervals=intervals, distance=np.repeat(self.distance, 2))
 
 
 def _each(shapes: list[ConvexSet], function: Callable[..., Array], *arrays: Array) -> Array:
@@ -179,11 +188,10 @@ def residuals(
         Points of C(t), a Moving set, at these.
     """
     data = motion(norms.process.C)
-    for parts in PARTS_IF_EMPTY if data.offsets or not data.summands else (1,):
-        model, reason = _model(norms, data, nodes, variation, speed, members, parts)
-        # coefficients of a polynomial may be offsets of no set on long steps
-        with suppress(EmptySetError, TouchingError):
-            return _bounds(norms, nodes, curves, model), reason
+    model, reason = _model(norms, data, nodes, variation, speed, members)
+    # coefficients of a polynomial may be offsets of no set on long steps
+    with suppress(EmptySetError, TouchingError):
+        return _bounds(norms, nodes, curves, model), reason
     return _bounds(norms, nodes, curves, _on_steps(norms.process, nodes)), NEARLY_EMPTY
 
 
@@ -211,12 +219,13 @@ def unknown(C: AnySet, data: Motion, t: float) -> str:
     if isinstance(C, MovingSet) and C.operands and not data.summands:
         reason = next(filter(None, (unknown(S, motion(S), t) for S in C.moving_parts)), "")
         S, ask = C.at(t), "write it as a Moving set, or take error_bound(variation=)"
-        if reason or not (S.certifiable and S.magnitude() < math.inf):
+        finite = all(T.exact or T.magnitude() < math.inf for T in S.factors())
+        if reason or not (S.certifiable and finite):
             return reason or f"C(t) is made of sets that move separately and is unbounded: {ask}"
-        if not all(has_curves(part, t) for part in C.moving_parts):
+        if not all(has_curves(part) for part in C.moving_parts):
             reason = (
-                "a set that C(t) is made of is flat and moves on a curve, jumps, or moves by a "
-                f"function of which only a variation is known: give it so.Table histories, {ask}"
+                "a set that C(t) is made of is flat and moves on a curve that is no cubic: give it "
+                f"so.Table histories, {ask}"
             )
         return reason
     if not data.summands:
@@ -248,7 +257,6 @@ def _model(
     variation: Callable[[float], float] | None,
     speed: Array,
     members: Array | None,
-    parts: int,
 ) -> tuple[_Model, str]:
     """What is known of C(t) on intervals that cover the steps, and what is not."""
     process, points = norms.process, None
@@ -262,10 +270,10 @@ def _model(
         elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
             points = [(members - data.center.at(nodes.t[1:])) / scale]
         sharp = points is not None or all(S.sharp_gaps for _, S in data.summands)
-        intervals = smooth_intervals(data.histories, nodes.t, parts if sharp else PARTS_OF_STEP)
+        intervals = smooth_intervals(data.histories, nodes.t, 1 if sharp else PARTS_OF_STEP)
         summands = [(scale, [S]) for scale, S in data.summands]
         return _Model(data, intervals, summands, np.zeros(len(intervals.step)), points), reason
-    model = _on_steps(process, nodes, parts)
+    model = _on_steps(process, nodes)
     if variation is None or norms.weak:  # members in the middle have no int |r'|
         if variation is None and not reason:
             known = zip(nodes.t[1:].tolist(), [] if members is None else members, strict=False)
@@ -280,9 +288,9 @@ def _model(
     return model, "" if all(S.certifiable for S in shapes) else reason
 
 
-def _on_steps(process: SweepingProcess, nodes: Nodes, parts: int = 1) -> _Model:
+def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
     """That of a C(t) of which nothing is known between samples."""
-    steps = smooth_intervals(histories_of(process.C, inside=False), nodes.t, parts)
+    steps = smooth_intervals(histories_of(process.C, inside=False), nodes.t)
     distance = np.zeros(len(steps.step))
     return _Model(Motion((), TimeFunction((), process.dim)), steps, [], distance)
 
@@ -302,15 +310,12 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
 
 def _bounds(norms: Norms, nodes: Nodes, curves: Array, model: _Model) -> Residuals:
     """Those of all curves, from intervals treated at once."""
-    count, moving, step = len(curves), model.motion, model.intervals.step
+    moving = model.motion
     width = max(norms.process.dim, 0 if moving.offsets is None else moving.offsets.dim)
-    many = max(CHUNK // (30 * count * width), 1)
-    sizes, parts = _sizes_of_terms(norms, moving.center), []
-    for start in range(0, len(step), many):
-        some = slice(start, start + many)
-        slopes = np.concatenate(curves[:, step[some]])
-        each = _on_intervals(norms, nodes, slopes, model.on(some, count), sizes)
-        parts.append([x.reshape(count, -1, *x.shape[1:]) for x in each])
+    many = max(CHUNK // (30 * len(curves) * width), 1)
+    sizes = _sizes_of_terms(norms, moving.center)
+    steps, parts = zip(*_of_parts(norms, nodes, curves, model, sizes, many), strict=True)
+    step = np.concatenate(steps)
     of_all = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
     gaps, squares, turning, size, begin, end, error = of_all
     first = np.searchsorted(step, np.arange(len(nodes.velocity)))
@@ -321,6 +326,32 @@ def _bounds(norms: Norms, nodes: Nodes, curves: Array, model: _Model) -> Residua
     last = np.append(first[1:], len(step)) - 1
     size, error = (np.maximum.reduceat(x, first, axis=1) for x in (size, error))
     return Residuals(gaps, squares, turning, size, begin[:, first], end[:, last], error)
+
+
+def _of_parts(
+    norms: Norms, nodes: Nodes, curves: Array, model: _Model, sizes: list[Array], many: int
+) -> Iterator[tuple[Array, list[Array]]]:
+    """The step of intervals and what all curves have there, of so many intervals at once.
+
+    An interval on which a set of coefficients is empty is halved.
+    """
+    step, a, b = model.intervals
+    middle = len(step) // 2
+    if len(step) <= many:
+        try:
+            of_each = model.on(slice(None), len(curves))
+            each = _on_intervals(norms, nodes, np.concatenate(curves[:, step]), of_each, sizes)
+        except (EmptySetError, TouchingError):
+            if not middle:
+                t = nodes.t
+                if (b - a)[0] < 1.5 * LEAST_PART * (t[step + 1] - t[step])[0]:
+                    raise
+                model, middle = model.halved(), 1
+        else:
+            yield step, [x.reshape(len(curves), -1, *x.shape[1:]) for x in each]
+            return
+    for half in (slice(middle), slice(middle, None)):
+        yield from _of_parts(norms, nodes, curves, model.on(half), sizes, many)
 
 
 def _on_intervals(

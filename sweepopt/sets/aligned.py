@@ -141,6 +141,10 @@ class Aligned(ConvexSet):
         each = self._split(self._back(w))
         return self._to(self._joined([S.project(x) for S, x in each]))
 
+    def project_quickly(self, w: Array) -> Array | None:
+        each: list[Any] = [S.project_quickly(x) for S, x in self._split(self._back(w))]
+        return None if any(x is None for x in each) else self._to(self._joined(each))
+
     def project_rows(self, rows: Array) -> Array:
         each = self._split(self._back(rows).T)
         blocks = [S.project_rows(x.T).T for S, x in each]

@@ -627,6 +627,10 @@ class ConvexSet(Operators, ABC):
         """`project` of each row, shape (m, dim)."""
         return np.array([self.project(w) for w in rows])
 
+    def project_quickly(self, w: Array) -> Array | None:
+        """`project`; None where that takes long: C is empty, or so small that it may be."""
+        return self.project(w)
+
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
         """The support function in cvxpy, to be read: minimising `value` gives sigma(C, p).
 

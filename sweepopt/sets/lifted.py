@@ -304,6 +304,14 @@ class Lifted(ConvexSet):
                 points.append((pair or self._nearest(v)).w)
         return np.array(points)
 
+    def project_quickly(self, w: Array) -> Array | None:
+        if self._blocks is not None:
+            return self._blocks.project_quickly(w)
+        if not self._cut or self._pair_of_one(w) is not None:
+            return self.project(w)
+        near = self._projector(w.copy(), patient=False)
+        return near.w if near.exact else None
+
     def supports_along(self, p: Array, w: Array) -> Array:
         """Of C & D by projections: the program of sigma takes 17 ms for each direction.
 
