@@ -97,7 +97,7 @@ SMALL = so.Box([-0.1, -0.15], [0.1, 0.1])
         JERKED & so.Moving(SMALL, so.Separable([(WAVE, [0.5, 0.3])])),
         DISC & so.Moving(SMALL, so.Separable([(Wave(), [1.0, 0.3])])),
         so.product(
-            DISC & ELLIPSE, so.Moving(so.HalfSpace(1.0, 0.1), so.Separable([(WAVE, [1.0])]))
+            DISC & ELLIPSE, so.Moving(so.HalfSpace(1.0, 0.0), so.Separable([(WAVE, [1.0])]))
         ),
     ],
     ids=["jumps", "variation", "unbounded"],

@@ -178,7 +178,7 @@ def ball_inside(S: ConvexSet) -> tuple[Array, float]:
         G, h = S.halfspaces().inequalities()
         some = (lengths := row_lengths(G)) > 0
         G, far = G[some] / lengths[some, None], h[some] / lengths[some]
-    size = float(np.abs(far).max()) if far.size else S.magnitude()
+    size = float(np.abs(far).max(initial=0.0)) or S.magnitude()
     size = size if size < np.inf else 1.0 + float(np.linalg.norm(S.anchor))
 
     def corners(center: Array, share: float) -> Iterator[Array]:
