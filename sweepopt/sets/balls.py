@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from sweepopt.checks import HUGE, Array, dimension, entries, number, symmetric
 from sweepopt.errors import InputError
@@ -22,17 +23,24 @@ from sweepopt.sets.base import (
     ConvexSet,
     CurveGaps,
     Features,
+    Form,
     Halfspaces,
     NormalPair,
     binary,
     neighbours,
+    no_rows,
     once,
 )
 from sweepopt.sets.curves import ball_arcs, products
-from sweepopt.sets.shapes import Box
+from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+
+# Semiaxes of images that are projected on by their balls, which have one unit for all of them. Of
+# 2,400 random images with columns of 1e-4 to 1e4 7 are StepErrors without a limit, and 2 with it.
+EVEN = 1e4
 
 
 class Balls(ConvexSet):
@@ -333,6 +341,14 @@ def _axes(root: Array) -> tuple[Array, Array]:
     return semiaxes, axes
 
 
+@once
+def _even_columns(root: Array) -> sp.csr_array | None:
+    """root^T, if its short semiaxes are not lost beside the long ones."""
+    semiaxes, _ = _axes(root)
+    lengths = semiaxes[semiaxes > 0]
+    return sp.csr_array(root.T) if lengths.size and lengths[0] <= EVEN * lengths[-1] else None
+
+
 class Ellipsoid(ConvexSet):
     """{ w : (w-c)^T shape^-1 (w-c) <= 1 }:  sigma(z) = <c, z> + sqrt(<shape z, z>).
 
@@ -449,7 +465,16 @@ class Ellipsoid(ConvexSet):
 
 
 class BallImage(Ellipsoid):
-    """{ center + radius root^T s : |s| <= 1 }, flat where the root has no full rank."""
+    """v + M s for s in a ball, flat where M has no full rank."""
 
-    def __init__(self, center: Array, radius: float, root: Array) -> None:
-        self._set(center, radius, root)
+    def __init__(self, v: Array | float, M: Array, ball: Ball) -> None:
+        self._set(v + M @ ball.center, ball.radius, M.T)
+        self._v, self._ball = v, ball
+
+    def form(self) -> Form:
+        """By the ball, which is projected on in a tenth of the time, where M is not too uneven."""
+        E = _even_columns(self.matrix)
+        if E is None:
+            return super().form()
+        form = Form(E, no_rows(self._ball.dim), (self._ball,))
+        return Form.added(form, Point(self._v).form()) if np.any(self._v) else form

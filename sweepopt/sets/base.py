@@ -224,6 +224,11 @@ def _one_above(E: sp.csr_array, F: sp.csr_array) -> sp.csr_array:
     return sp.csr_array(sp.vstack([E, F]))
 
 
+@once
+def _diagonal(*blocks: sp.csr_array) -> sp.csr_array:
+    return sp.csr_array(sp.block_diag(blocks, format="csr"))
+
+
 class Form(NamedTuple):
     """C = { E s : s in parts[0] x parts[1] x ..., F s = 0 }, E and F sparse.
 
@@ -250,8 +255,7 @@ class Form(NamedTuple):
         if len(forms) == 1:
             return forms[0]
         Es, Fs, parts = zip(*forms, strict=True)
-        E, F = (sp.csr_array(sp.block_diag(each, format="csr")) for each in (Es, Fs))
-        return cls(E, F, sum(parts, start=()))
+        return cls(_diagonal(*Es), _diagonal(*Fs), sum(parts, start=()))
 
     @classmethod
     def added(cls, C: Form, D: Form) -> Form:

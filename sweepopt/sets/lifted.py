@@ -227,14 +227,14 @@ class Lifted(ConvexSet):
         """
         last: Projection | None = self._last[1]
         if last is not None and last.exact:
-            p, way = last.v - last.w, w - last.w
+            p, way = last.p, w - last.w
             size = float(np.abs([last.v, last.w, w]).max())
             rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
             return bool(p @ way > distance * np.linalg.norm(p) + rounding)
         rows = any(isinstance(shape_of(C), Polyhedron) for C in self.lifted.parts)  # slow supports
         if self._beside is None or rows or not self.lifted.small:
             return False
-        p, splitting = self._beside.v - self._beside.w, self._beside.splitting
+        p, splitting = self._beside.p, self._beside.splitting
         n, sizes = splitting.normals(splitting.E.T @ p, self._beside.image - self._beside.s)
         sizes = splitting.units * (sizes + np.abs(splitting.E.T) @ np.abs(p))
         n = splitting.units * n
@@ -264,7 +264,7 @@ class Lifted(ConvexSet):
         near = self.near(v) if self.certifiable else None
         if near is None or (self._cut and not near.exact):
             return None
-        p = v - near.w
+        p = near.p
         if not near.exact:
             return NormalPair(p, near.w.copy(), self.gap(p, near.w), _rounded(v))
         if not self._cut and np.isinf(self.support(p)):

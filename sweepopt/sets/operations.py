@@ -395,9 +395,12 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
             return reduce(add, (_image(M[:, at], S) for S, at in placed(parts)))
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
-    if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:
-        radius, root = (1.0, C.root) if isinstance(C, Ellipsoid) else (C.radius, np.eye(C.dim))
-        return BallImage(M @ C.center, radius, dense(root @ M.T))
+    if 1 < C.dim <= DENSE >= M.shape[0]:
+        if isinstance(C, Ball):
+            return BallImage(0.0, dense(M), C)
+        if isinstance(C, Ellipsoid):
+            root = C.root.T
+            return BallImage(M @ C.center, dense(M @ root), Ball(np.zeros(root.shape[1]), 1.0))
     if isinstance(C, Polyhedron):
         # columns of numbers near 1: their units, powers of two, go to the set
         units = sp.diags_array(1 / row_units(COLUMN, M.T))

@@ -54,7 +54,7 @@ TENSION_EXACT = 1e6
 # Of points 1e-6 to 0.1 inside the boundary of a polytope + a box 1 of 100 projections was moved, by
 # up to 40 times the rounding of s: faces that meet there are nearly parallel
 HIDDEN = 100 * ROUNDING
-TENSE = 2.0**-12  # of L^-1: normals 2^24 times as large as points, and more than TENSION_EXACT
+SHARP = 1e-10  # of v: what more of it rounds in a pair is looked at in the unit of its normals
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 
 Map = Callable[[Array], Array]
@@ -63,11 +63,12 @@ Map = Callable[[Array], Array]
 class Projection(NamedTuple):
     """The point w = E s of C nearest to v; s = P(image), both in units of the splitting.
 
-    `exact` says whether it is that to rounding of the data.
+    p is v - w. `exact` says whether it is that to rounding of the data.
     """
 
     v: Array
     w: Array
+    p: Array
     s: Array
     image: Array
     exact: bool
@@ -113,8 +114,28 @@ class Projector:
         if start is None or start.s.size != plain.units.size:
             s = plain.projected(plain.E.T @ v)
             start = Start(s, plain.E.T @ (v - plain.E @ s)).scaled(1 / plain.units)
-        for point in chain([start], plain.proximal_points(v, start) if patient else ()):
-            near = self._from(v, point)
+        return self._first_exact(v, start, self._from, patient)
+
+    def again(self, near: Projection) -> Projection:
+        """From a projection, in the unit in which its normals are as large as its points."""
+        s, n = near.start.scaled(self.splitting(1.0).units)
+        if not (s.any() and n.any()):
+            return near
+        splitting = self.splitting(binary(float(np.sqrt(np.abs(n).max() / np.abs(s).max()))))
+
+        def about(v: Array, point: Start) -> Projection:
+            point = point.scaled(splitting.units)
+            return splitting.projection(v, point, float(np.abs(point).max()), about=True)
+
+        return self._first_exact(near.v, near.start, about)
+
+    def _first_exact(
+        self, v: Array, start: Start, project: Callable[..., Projection], patient: bool = True
+    ) -> Projection:
+        """From the start, or from proximal points."""
+        points = self.splitting(1.0).proximal_points(v, start) if patient else ()
+        for point in chain([start], points):
+            near = project(v, point)
             if near.exact:
                 break
         return near
@@ -132,7 +153,7 @@ class Projector:
             size_s = float(np.abs(plain.projected(s)).max())
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
         size = max(unit * size_s, size_n / unit)
-        return self.splitting(unit).projection(v, unit * s - n / unit, size)
+        return self.splitting(unit).projection(v, Start(unit * s, n / unit), size)
 
 
 class NearestPair(NamedTuple):
@@ -163,25 +184,22 @@ class InMetric:
         # any normal is one of a point
         points = np.concatenate([np.full(S.dim, S.singleton) for S in self._form.parts])
         self._alone, self._sums = _normals_of(self._E, dense(self._form.F), points)
-        self._projector = lru_cache(2)(self._in_unit)
-
-    def _in_unit(self, share: float) -> Projector:
-        return Projector(self._form._replace(E=share * self._root[1] @ self._E))
+        self._projector = Projector(self._form._replace(E=self._root[1] @ self._E))
 
     def __call__(self, q: Array, proved: bool) -> NearestPair:
         """From the one before, of this set or another; without a proof there is no perturbation."""
-        pair = self._nearest(q, 1.0, proved)
-        if proved and pair.perturbation == np.inf:
-            other = self._nearest(q, TENSE, proved)
-            pair = other if other.perturbation < np.inf else pair
+        (u, inverse), start = self._root, self._C._start
+        near = self._projector(inverse @ q, start and Start(start.s, u * start.n))
+        pair = self._pair(near, proved)
+        if proved and pair.perturbation * np.sqrt(u) > SHARP * euclidean(near.v):
+            again = self._pair(self._projector.again(near), proved)
+            pair = min(pair, again, key=lambda pair: pair.perturbation)
         self._C._start = pair.start
         return pair
 
-    def _nearest(self, q: Array, share: float, proved: bool) -> NearestPair:
-        u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C._start
-        v = inverse @ q
-        near = self._projector(share)(v, start and Start(start.s, u * start.n))
-        p, (s, n) = inverse.T @ (v - near.w), near.start
+    def _pair(self, near: Projection, proved: bool) -> NearestPair:
+        (u, inverse), (s, n) = self._root, near.start
+        p = inverse.T @ near.p
         perturbation, w = np.inf, self._E @ s if near.exact else None
         if near.exact and proved:
             # 0.0 where the normals that p adds up are rounding of the points
@@ -190,12 +208,12 @@ class InMetric:
             rests = (self._alone & ~pulls).any(axis=1)
             rests |= ~(self._sums & np.append(pulls, True)).any(axis=1)
             p[rests | (np.abs(p) <= ROUNDING * np.abs(p).max())] = 0.0
-            perturbation = self._perturbation(near, p, u, inverse)
+            perturbation = self._perturbation(near, p)
         return NearestPair(0.0 - p / u, Start(s, n / u), w, perturbation)
 
-    def _perturbation(self, near: Projection, p: Array, u: float, inverse: Array) -> float:
+    def _perturbation(self, near: Projection, p: Array) -> float:
         """From E, not from L^-1 E, which is rounded: that only weighs what is left of it."""
-        splitting = near.splitting
+        splitting, (u, inverse) = near.splitting, self._root
         E, sizes = self._E / splitting.units, np.abs(near.s) + splitting.rounding_scale(near.image)
         shifts = splitting.shifts(near, E.T @ p, np.abs(E.T) @ np.abs(p))
         if shifts is None or (not self._polyhedral and splitting.is_tense(near)):
@@ -288,9 +306,16 @@ class Splitting:
                     D[at, at][few[:, :, None], few[:, None]] = block
         return D
 
-    def projection(self, v: Array, x: Array, size: float) -> Projection:
-        """From x = s - n, n the normal; `size` is that of what is rounded in s and n."""
-        center = self.K(self.E.T @ v)
+    def projection(self, v: Array, start: Start, size: float, about: bool = False) -> Projection:
+        """From a start in its units; `size` is that of what is rounded in s and n.
+
+        `about` a start that is near, of a small set, E s - v is known to the digits of its change.
+        """
+        x, origin = start.s - start.n, 0 * start.s
+        if about:
+            origin = start.s - self.F.T @ (self._multipliers @ start.s)
+        away = v - self.E @ origin
+        center = origin + self.K(self.E.T @ away - origin)
 
         def at(x: Array) -> Iterate:
             """s the argmin of 1/2 |E s - v|^2 + 1/2 |s - x|^2 under F s = 0."""
@@ -309,14 +334,19 @@ class Splitting:
             s, image, on_parts = at(x)
         # a far start may have left nothing but its rounding: judged by the data, and without it
         off, limits = np.abs(self.F @ on_parts), size * self._sums[1]
-        exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
-        exact = exact and bool((off <= 10 * ROUNDING * limits).all())
-        near = Projection(v, self._point(v, on_parts, size), on_parts, image, exact, self)
-        return near._replace(w=v.copy()) if self._hides_rest(near, size) else near
+        # without rows F what is left of s - P(image) is known, as a part of v - w, to first order
+        least = SHARP if about and not len(self.F) else 10 * ROUNDING * fixed
+        exact = np.abs(on_parts - s).max() <= least * size
+        exact = bool(exact and (off <= 10 * ROUNDING * limits).all())
+        w = self._point(v, on_parts, size)
+        p = 0 * v if np.array_equal(v, w) else away - self.E @ (on_parts - origin)
+        near = Projection(v, w, p, on_parts, image, exact, self)
+        rests = not about and self._hides_rest(near, size)
+        return near._replace(w=v.copy(), p=0 * v) if rests else near
 
     def _hides_rest(self, near: Projection, size: float) -> bool:
         """Whether v is in C but for what the projection rounds: that is known to first order."""
-        p = near.v - near.w
+        p = near.p
         if not (near.exact and p.any() and (np.abs(p) <= HIDDEN * size * self._sums[0]).all()):
             return False
         moved = self.perturbation(near, p)
@@ -414,7 +444,7 @@ class Splitting:
 
         They have no bound where the parts meet in no interior point.
         """
-        pull = self.E.T @ (near.v - near.w)
+        pull = self.E.T @ near.p
         n, _ = self.normals(pull, near.image - near.s)
         return euclidean(pull - n) > (TENSION_EXACT if near.exact else TENSION) * euclidean(pull)
 
@@ -488,8 +518,11 @@ def _maps(E: Array, F: Array) -> tuple[Array, Array, Array]:
     n = E.shape[1]
     U, sizes, V = np.linalg.svd(F)
     rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
-    Z, image = V[rank:].T, E @ V[rank:].T
-    K = Z @ np.linalg.solve(np.eye(n - rank) + image.T @ image, Z.T)
+    _, of_E, axes = np.linalg.svd(E @ V[rank:].T)
+    squares = np.zeros(n - rank)
+    squares[: of_E.size] = of_E**2
+    axes = axes @ V[rank:]
+    K = (axes.T / (1 + squares)) @ axes
     return K, 2 * K - np.eye(n), (U[:, :rank] / sizes[:rank]) @ V[:rank]
 
 

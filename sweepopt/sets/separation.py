@@ -45,7 +45,7 @@ def is_separated(form: Form, project: Callable[[Array, Start | None], Projection
         if near.exact and euclidean(near.w) <= 10 * ROUNDING * size:
             return False
         near = project(away * width / euclidean(p) * p, near.start)
-        p = near.v - near.w
+        p = near.p
         if p @ near.w < -_rounding(near, widths * near.splitting.units):
             return True
     return None
@@ -68,7 +68,7 @@ def _rounding(near: Projection, widths: Array) -> float:
     <n_i, s - s_i> <= 0 to rounding; F_i^T p - n_i acts on no more than the width of S_i. Parts
     without a width have one where the others move in their bounds and F s = 0.
     """
-    splitting, s, p = near.splitting, near.s, near.v - near.w
+    splitting, s, p = near.splitting, near.s, near.p
     n, scale = near.image - s, splitting.rounding_scale(near.image)
     E, free, widths = splitting.E, np.isinf(widths), widths.copy()
     if free.any():
