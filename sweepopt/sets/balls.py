@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from sweepopt.checks import HUGE, Array, dimension, entries, number, symmetric
 from sweepopt.errors import InputError
@@ -28,7 +27,6 @@ from sweepopt.sets.base import (
     NormalPair,
     binary,
     neighbours,
-    no_rows,
     once,
 )
 from sweepopt.sets.curves import ball_arcs, products
@@ -342,11 +340,11 @@ def _axes(root: Array) -> tuple[Array, Array]:
 
 
 @once
-def _even_columns(root: Array) -> sp.csr_array | None:
-    """root^T, if its short semiaxes are not lost beside the long ones."""
+def _is_even(root: Array) -> bool:
+    """Whether the short semiaxes are not lost beside the long ones."""
     semiaxes, _ = _axes(root)
     lengths = semiaxes[semiaxes > 0]
-    return sp.csr_array(root.T) if lengths.size and lengths[0] <= EVEN * lengths[-1] else None
+    return lengths.size > 0 and bool(lengths[0] <= EVEN * lengths[-1])
 
 
 class Ellipsoid(ConvexSet):
@@ -473,8 +471,7 @@ class BallImage(Ellipsoid):
 
     def form(self) -> Form:
         """By the ball, which is projected on in a tenth of the time, where M is not too uneven."""
-        E = _even_columns(self.matrix)
-        if E is None:
+        if not _is_even(self.matrix):
             return super().form()
-        form = Form(E, no_rows(self._ball.dim), (self._ball,))
+        form = Form.alone(self._ball).image(self.matrix.T)
         return Form.added(form, Point(self._v).form()) if np.any(self._v) else form

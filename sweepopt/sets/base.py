@@ -166,12 +166,6 @@ def no_rows(n: int) -> sp.csr_array:
     return sp.csr_array((0, n))
 
 
-@lru_cache(64)
-def side_by_side(n: int, a: float, b: float) -> sp.csr_array:
-    """(s, r) -> a s + b r."""
-    return sp.csr_array(sp.hstack([a * identity(n), b * identity(n)]))
-
-
 class _Entries:
     """A small matrix by its entries."""
 
@@ -225,6 +219,20 @@ def _one_above(E: sp.csr_array, F: sp.csr_array) -> sp.csr_array:
 
 
 @once
+def _added(*of: sp.csr_array) -> tuple[sp.csr_array, sp.csr_array]:
+    """E and F of C + D, of their E and their F."""
+    return sp.csr_array(sp.hstack(of[:2])), _diagonal(*of[2:])
+
+
+@once
+def _common(*of: sp.csr_array) -> tuple[sp.csr_array, sp.csr_array]:
+    """Of C & D: (s, r) -> E_C s, and F_C s, F_D r, E_C s - E_D r."""
+    (E, D), F = of[:2], _diagonal(*of[2:])
+    rows = sp.csr_array(sp.vstack([F, sp.hstack([E, -D])]))
+    return sp.csr_array(sp.hstack([E, sp.csr_array(D.shape)])), rows
+
+
+@once
 def _diagonal(*blocks: sp.csr_array) -> sp.csr_array:
     return sp.csr_array(sp.block_diag(blocks, format="csr"))
 
@@ -260,21 +268,14 @@ class Form(NamedTuple):
     @classmethod
     def added(cls, C: Form, D: Form) -> Form:
         """C + D."""
-        n = C.E.shape[0]
-        return cls._joined(C, D, side_by_side(n, 1, 1), no_rows(2 * n))
+        E, F = _added(C.E, D.E, C.F, D.F)
+        return cls(E, F, C.parts + D.parts)
 
     @classmethod
     def common(cls, C: Form, D: Form) -> Form:
         """C & D: the points of C, with rows that say that those of D are the same."""
-        n = C.E.shape[0]
-        return cls._joined(C, D, side_by_side(n, 1, 0), side_by_side(n, 1, -1))
-
-    @classmethod
-    def _joined(cls, C: Form, D: Form, E: sp.csr_array, F: sp.csr_array) -> Form:
-        """{ E (s, r) : s in C, r in D, F (s, r) = 0 }."""
-        if C.E is D.E is identity(C.E.shape[0]) and C.F.shape[0] + D.F.shape[0] == 0:
-            return cls(E, F, C.parts + D.parts)
-        return cls.beside(C, D).cut(F).image(E)
+        E, F = _common(C.E, D.E, C.F, D.F)
+        return cls(E, F, C.parts + D.parts)
 
     @property
     def small(self) -> bool:
