@@ -393,13 +393,7 @@ class Lifted(ConvexSet):
         with contextlib.suppress(TouchingError):  # or do not meet
             if self._projection(origin, patient=False).exact:
                 return
-        residuals = Lifted(Form.alone(self.part).image(self.lifted.F))
-        separated = is_separated(residuals.lifted, residuals._projection)
-        if separated is None and self.polyhedral:
-            # no width is needed where the nearest point is linear in the data
-            near = residuals.near(np.zeros(residuals.dim))
-            size = float(np.abs(np.append(near.start.s, self.part.offsets)).max(initial=0.0))
-            separated = (near.exact and euclidean(near.w) > 10 * ROUNDING * size) or None
+        separated = is_separated(Form.alone(self.part).image(self.lifted.F))
         if separated:
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
         if separated is not None:

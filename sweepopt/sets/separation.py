@@ -8,7 +8,7 @@ from near: v goes away from 0 step by step, along the last p.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -17,7 +17,7 @@ from sweepopt.checks import Array
 from sweepopt.errors import SweepoptError
 from sweepopt.linalg import dense, euclidean
 from sweepopt.sets.base import DENSE, RANK, ROUNDING, ConvexSet, Form, placed
-from sweepopt.sets.projection import Projection, Start
+from sweepopt.sets.projection import Projection, Projector
 
 # How far v is from 0, of the width of F S: from 1e-6, where p of a curved set turns by less than
 # that, to all of it. Twice from the nearest, as p at 0 is rounded most.
@@ -25,25 +25,24 @@ AWAY = 2.0 ** np.array([-20, -20, -14, -7, 0])
 SEEN = 1e6  # the width of unbounded sets, of what is seen of them: no point beyond it is looked for
 
 
-def is_separated(form: Form, project: Callable[[Array, Start | None], Projection]) -> bool | None:
-    """Whether 0 is proved to be outside of F S; None if to rounding no s in S has F s = 0 either.
+def is_separated(form: Form) -> bool | None:
+    """Whether 0 is proved to be outside of F S, given without rows of its own.
 
-    Parameters
-    ----------
-    form : Form
-        F S, without rows of its own.
-    project : callable
-        The projection on it, from a start.
+    None if to rounding no s in S has F s = 0 either.
     """
-    near, widths = project(np.zeros(form.E.shape[0]), None), _widths(form.parts)
+    project = Projector(form)
+    near, widths = project(np.zeros(form.E.shape[0])), _widths(form.parts)
     sizes = [np.abs(part.offsets).max(initial=0.0) for part in form.parts]
+    polyhedral = all(part.polyhedral for part in form.parts)
     known = np.isfinite(widths)
     width = euclidean(abs(form.E[:, known]) @ widths[known]) or 1.0
     p = -near.w
     for away in AWAY:
         size = max(np.abs(near.start.s).max(), *sizes)
-        if near.exact and euclidean(near.w) <= 10 * ROUNDING * size:
-            return False
+        meets = euclidean(near.w) <= 10 * ROUNDING * size
+        # no width is needed where the nearest point is linear in the data
+        if near.exact and (meets or polyhedral):
+            return not meets
         near = project(away * width / euclidean(p) * p, near.start)
         p = near.p
         if p @ near.w < -_rounding(near, widths * near.splitting.units):
