@@ -54,6 +54,7 @@ TENSION_EXACT = 1e6
 # Of points 1e-6 to 0.1 inside the boundary of a polytope + a box 1 of 100 projections was moved, by
 # up to 40 times the rounding of s: faces that meet there are nearly parallel
 HIDDEN = 100 * ROUNDING
+TENSE = 2.0**-12  # of L^-1: normals 2^24 times as large as points, and more than TENSION_EXACT
 SHARP = 1e-10  # of v: what more of it rounds in a pair is looked at in the unit of its normals
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 
@@ -184,21 +185,32 @@ class InMetric:
         # any normal is one of a point
         points = np.concatenate([np.full(S.dim, S.singleton) for S in self._form.parts])
         self._alone, self._sums = _normals_of(self._E, dense(self._form.F), points)
-        self._projector = Projector(self._form._replace(E=self._root[1] @ self._E))
+        self._projector = lru_cache(2)(self._in_unit)
+
+    def _in_unit(self, share: float) -> Projector:
+        return Projector(self._form._replace(E=share * self._root[1] @ self._E))
 
     def __call__(self, q: Array, proved: bool) -> NearestPair:
         """From the one before, of this set or another; without a proof there is no perturbation."""
-        (u, inverse), start = self._root, self._C._start
-        near = self._projector(inverse @ q, start and Start(start.s, u * start.n))
-        pair = self._pair(near, proved)
-        if proved and pair.perturbation * np.sqrt(u) > SHARP * euclidean(near.v):
-            again = self._pair(self._projector.again(near), proved)
-            pair = min(pair, again, key=lambda pair: pair.perturbation)
+        pair = self._nearest(q, 1.0, proved)
+        if proved and pair.perturbation == np.inf:
+            other = self._nearest(q, TENSE, proved)
+            pair = other if other.perturbation < np.inf else pair
         self._C._start = pair.start
         return pair
 
-    def _pair(self, near: Projection, proved: bool) -> NearestPair:
-        (u, inverse), (s, n) = self._root, near.start
+    def _nearest(self, q: Array, share: float, proved: bool) -> NearestPair:
+        u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C._start
+        project = self._projector(share)
+        near = project(inverse @ q, start and Start(start.s, u * start.n))
+        pair = self._pair(near, proved, u, inverse)
+        if SHARP * euclidean(near.v) < pair.perturbation * np.sqrt(u) < np.inf:
+            again = self._pair(project.again(near), proved, u, inverse)
+            pair = min(pair, again, key=lambda pair: pair.perturbation)
+        return pair
+
+    def _pair(self, near: Projection, proved: bool, u: float, inverse: Array) -> NearestPair:
+        s, n = near.start
         p = inverse.T @ near.p
         perturbation, w = np.inf, self._E @ s if near.exact else None
         if near.exact and proved:
@@ -208,12 +220,12 @@ class InMetric:
             rests = (self._alone & ~pulls).any(axis=1)
             rests |= ~(self._sums & np.append(pulls, True)).any(axis=1)
             p[rests | (np.abs(p) <= ROUNDING * np.abs(p).max())] = 0.0
-            perturbation = self._perturbation(near, p)
+            perturbation = self._perturbation(near, p, u, inverse)
         return NearestPair(0.0 - p / u, Start(s, n / u), w, perturbation)
 
-    def _perturbation(self, near: Projection, p: Array) -> float:
+    def _perturbation(self, near: Projection, p: Array, u: float, inverse: Array) -> float:
         """From E, not from L^-1 E, which is rounded: that only weighs what is left of it."""
-        splitting, (u, inverse) = near.splitting, self._root
+        splitting = near.splitting
         E, sizes = self._E / splitting.units, np.abs(near.s) + splitting.rounding_scale(near.image)
         shifts = splitting.shifts(near, E.T @ p, np.abs(E.T) @ np.abs(p))
         if shifts is None or (not self._polyhedral and splitting.is_tense(near)):
@@ -518,11 +530,8 @@ def _maps(E: Array, F: Array) -> tuple[Array, Array, Array]:
     n = E.shape[1]
     U, sizes, V = np.linalg.svd(F)
     rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
-    _, of_E, axes = np.linalg.svd(E @ V[rank:].T)
-    squares = np.zeros(n - rank)
-    squares[: of_E.size] = of_E**2
-    axes = axes @ V[rank:]
-    K = (axes.T / (1 + squares)) @ axes
+    Z, image = V[rank:].T, E @ V[rank:].T
+    K = Z @ np.linalg.solve(np.eye(n - rank) + image.T @ image, Z.T)
     return K, 2 * K - np.eye(n), (U[:, :rank] / sizes[:rank]) @ V[:rank]
 
 
