@@ -621,6 +621,31 @@ def test_every_set_refuses_vectors_of_another_shape():
                 C.project(wrong)
 
 
+@pytest.mark.parametrize("seed", [217, 241, 249, 309])
+def test_a_body_at_rest_moves_by_no_more_than_its_certificate(seed):
+    """Its force is inside of a sum by 1e-12 or less: the velocity is 0."""
+    random = np.random.default_rng(seed)
+    Q = np.linalg.qr(random.normal(size=(2, 2)))[0]
+    M = Q @ np.diag([1.0, 1e6]) @ Q.T
+    M = (M + M.T) / 2
+    matrices = (
+        random.normal(size=(2, 2)),
+        random.normal(size=(2, 3)) * 10 ** random.uniform(-3, 3, 3),
+    )
+    balls = so.Ball(np.zeros(2), 1.0), so.Ball(np.zeros(3), 0.7)
+    C = so.image(matrices[0], balls[0]) + so.image(matrices[1], balls[1])
+    d = random.normal(size=2)
+    d /= np.linalg.norm(d)
+    pulls = [E.T @ d for E in matrices]
+    s = sum(
+        E @ p * S.radius / np.linalg.norm(p) for E, p, S in zip(matrices, pulls, balls, strict=True)
+    )
+    v = s - 10.0 ** random.uniform(-13.5, -12) * np.linalg.norm(s) * d
+    process = so.SweepingProcess(M, None, so.MovingSet(lambda t: C - v), np.zeros(2))
+    sol = so.solve(process, t_end=1.0, steps=1, scheme="implicit-euler")
+    assert np.sqrt(sol.velocity[0] @ M @ sol.velocity[0]) <= sol.stats["certificate"][0]
+
+
 def test_sums_cuts_and_images_of_one_another_keep_their_nearest_points():
     random = np.random.default_rng(4)
     hull = so.Polytope(random.normal(size=(6, 2)))

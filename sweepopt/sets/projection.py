@@ -55,7 +55,6 @@ TENSION_EXACT = 1e6
 # up to 40 times the rounding of s: faces that meet there are nearly parallel
 HIDDEN = 100 * ROUNDING
 TENSE = 2.0**-12  # of L^-1: normals 2^24 times as large as points, and more than TENSION_EXACT
-SHARP = 1e-10  # of v: what more of it rounds in a pair is looked at in the unit of its normals
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 
 Map = Callable[[Array], Array]
@@ -115,28 +114,8 @@ class Projector:
         if start is None or start.s.size != plain.units.size:
             s = plain.projected(plain.E.T @ v)
             start = Start(s, plain.E.T @ (v - plain.E @ s)).scaled(1 / plain.units)
-        return self._first_exact(v, start, self._from, patient)
-
-    def again(self, near: Projection) -> Projection:
-        """From a projection, in the unit in which its normals are as large as its points."""
-        s, n = near.start.scaled(self.splitting(1.0).units)
-        if not (s.any() and n.any()):
-            return near
-        splitting = self.splitting(binary(float(np.sqrt(np.abs(n).max() / np.abs(s).max()))))
-
-        def about(v: Array, point: Start) -> Projection:
-            point = point.scaled(splitting.units)
-            return splitting.projection(v, point, float(np.abs(point).max()), about=True)
-
-        return self._first_exact(near.v, near.start, about)
-
-    def _first_exact(
-        self, v: Array, start: Start, project: Callable[..., Projection], patient: bool = True
-    ) -> Projection:
-        """From the start, or from proximal points."""
-        points = self.splitting(1.0).proximal_points(v, start) if patient else ()
-        for point in chain([start], points):
-            near = project(v, point)
+        for point in chain([start], plain.proximal_points(v, start) if patient else ()):
+            near = self._from(v, point)
             if near.exact:
                 break
         return near
@@ -203,11 +182,7 @@ class InMetric:
         u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C._start
         project = self._projector(share)
         near = project(inverse @ q, start and Start(start.s, u * start.n))
-        pair = self._pair(near, proved, u, inverse)
-        if SHARP * euclidean(near.v) < pair.perturbation * np.sqrt(u) < np.inf:
-            again = self._pair(project.again(near), proved, u, inverse)
-            pair = min(pair, again, key=lambda pair: pair.perturbation)
-        return pair
+        return self._pair(near, proved, u, inverse)
 
     def _pair(self, near: Projection, proved: bool, u: float, inverse: Array) -> NearestPair:
         s, n = near.start
@@ -318,16 +293,10 @@ class Splitting:
                     D[at, at][few[:, :, None], few[:, None]] = block
         return D
 
-    def projection(self, v: Array, start: Start, size: float, about: bool = False) -> Projection:
-        """From a start in its units; `size` is that of what is rounded in s and n.
-
-        `about` a start that is near, of a small set, E s - v is known to the digits of its change.
-        """
-        x, origin = start.s - start.n, 0 * start.s
-        if about:
-            origin = start.s - self.F.T @ (self._multipliers @ start.s)
-        away = v - self.E @ origin
-        center = origin + self.K(self.E.T @ away - origin)
+    def projection(self, v: Array, start: Start, size: float) -> Projection:
+        """From a start in its units; `size` is that of what is rounded in s and n."""
+        x = start.s - start.n
+        center = self.K(self.E.T @ v)
 
         def at(x: Array) -> Iterate:
             """s the argmin of 1/2 |E s - v|^2 + 1/2 |s - x|^2 under F s = 0."""
@@ -346,14 +315,12 @@ class Splitting:
             s, image, on_parts = at(x)
         # a far start may have left nothing but its rounding: judged by the data, and without it
         off, limits = np.abs(self.F @ on_parts), size * self._sums[1]
-        # without rows F what is left of s - P(image) is known, as a part of v - w, to first order
-        least = SHARP if about and not len(self.F) else 10 * ROUNDING * fixed
-        exact = np.abs(on_parts - s).max() <= least * size
+        exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
         exact = bool(exact and (off <= 10 * ROUNDING * limits).all())
         w = self._point(v, on_parts, size)
-        p = 0 * v if np.array_equal(v, w) else away - self.E @ (on_parts - origin)
+        p = v - w
         near = Projection(v, w, p, on_parts, image, exact, self)
-        rests = not about and self._hides_rest(near, size)
+        rests = self._hides_rest(near, size)
         return near._replace(w=v.copy(), p=0 * v) if rests else near
 
     def _hides_rest(self, near: Projection, size: float) -> bool:
