@@ -93,6 +93,13 @@ def test_rows_of_any_length_mean_the_same_set_after_operations(unit):
             same(operation(C, D).at(t), operation(C.at(t), D.at(t)))
 
 
+def test_a_moving_box_of_no_width_is_a_factor_of_products():
+    C = so.Moving(so.Box([0.0, 0.0], [0.0, 0.0]), WAVES, so.Sine(0.3, 1.1, offset=1.0))
+    D = so.Moving(BALL, scale=so.Triangle(0.3, 9.0))
+    for t in TIMES:
+        same(so.product(C, D).at(t), so.product(C.at(t), D.at(t)))
+
+
 @settings(derandomize=True, deadline=None, max_examples=30, database=None)
 @given(st.floats(-10, 10), st.integers(0, 1000))
 def test_a_moving_set_is_center_plus_scale_times_shape(t, seed):

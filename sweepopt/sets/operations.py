@@ -122,6 +122,8 @@ def _on_few(S: ConvexSet) -> ConvexSet:
     """A product beside points 0 as a set on few unknowns."""
     if isinstance(S, Box) and not S.singleton:
         few = np.flatnonzero(S.lower.astype(bool) | S.upper.astype(bool))
+        if not few.size:
+            return S
         return Aligned(Box(S.lower[few], S.upper[few]), unknowns=few, dim=S.dim)
     if type(S) is not Aligned or S.unknowns is not None:
         return S
