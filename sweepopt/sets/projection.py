@@ -52,7 +52,7 @@ SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as 
 TENSION = 1e3
 TENSION_EXACT = 1e6
 # Of points 1e-6 to 0.1 inside the boundary of a polytope + a box 1 of 100 projections was moved, by
-# up to 40 times the rounding of s: faces that meet there are nearly parallel
+# more than 50 times the rounding of s: faces that meet there are nearly parallel
 HIDDEN = 100 * ROUNDING
 TENSE = 2.0**-12  # of L^-1: normals 2^24 times as large as points, and more than TENSION_EXACT
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
@@ -63,16 +63,20 @@ Map = Callable[[Array], Array]
 class Projection(NamedTuple):
     """The point w = E s of C nearest to v; s = P(image), both in units of the splitting.
 
-    p is v - w. `exact` says whether it is that to rounding of the data.
+    `exact` says whether it is that to rounding of the data.
     """
 
     v: Array
     w: Array
-    p: Array
     s: Array
     image: Array
     exact: bool
     splitting: Splitting
+
+    @property
+    def p(self) -> Array:
+        """What v is away from C, a normal of it at w."""
+        return self.v - self.w
 
     @property
     def start(self) -> Start:
@@ -133,7 +137,7 @@ class Projector:
             size_s = float(np.abs(plain.projected(s)).max())
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
         size = max(unit * size_s, size_n / unit)
-        return self.splitting(unit).projection(v, Start(unit * s, n / unit), size)
+        return self.splitting(unit).projection(v, unit * s - n / unit, size)
 
 
 class NearestPair(NamedTuple):
@@ -180,13 +184,9 @@ class InMetric:
 
     def _nearest(self, q: Array, share: float, proved: bool) -> NearestPair:
         u, inverse, start = share**2 * self._root[0], share * self._root[1], self._C._start
-        project = self._projector(share)
-        near = project(inverse @ q, start and Start(start.s, u * start.n))
-        return self._pair(near, proved, u, inverse)
-
-    def _pair(self, near: Projection, proved: bool, u: float, inverse: Array) -> NearestPair:
-        s, n = near.start
-        p = inverse.T @ near.p
+        v = inverse @ q
+        near = self._projector(share)(v, start and Start(start.s, u * start.n))
+        p, (s, n) = inverse.T @ near.p, near.start
         perturbation, w = np.inf, self._E @ s if near.exact else None
         if near.exact and proved:
             # 0.0 where the normals that p adds up are rounding of the points
@@ -293,9 +293,8 @@ class Splitting:
                     D[at, at][few[:, :, None], few[:, None]] = block
         return D
 
-    def projection(self, v: Array, start: Start, size: float) -> Projection:
-        """From a start in its units; `size` is that of what is rounded in s and n."""
-        x = start.s - start.n
+    def projection(self, v: Array, x: Array, size: float) -> Projection:
+        """From x = s - n, n the normal; `size` is that of what is rounded in s and n."""
         center = self.K(self.E.T @ v)
 
         def at(x: Array) -> Iterate:
@@ -316,12 +315,9 @@ class Splitting:
         # a far start may have left nothing but its rounding: judged by the data, and without it
         off, limits = np.abs(self.F @ on_parts), size * self._sums[1]
         exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
-        exact = bool(exact and (off <= 10 * ROUNDING * limits).all())
-        w = self._point(v, on_parts, size)
-        p = v - w
-        near = Projection(v, w, p, on_parts, image, exact, self)
-        rests = self._hides_rest(near, size)
-        return near._replace(w=v.copy(), p=0 * v) if rests else near
+        exact = exact and bool((off <= 10 * ROUNDING * limits).all())
+        near = Projection(v, self._point(v, on_parts, size), on_parts, image, exact, self)
+        return near._replace(w=v.copy()) if self._hides_rest(near, size) else near
 
     def _hides_rest(self, near: Projection, size: float) -> bool:
         """Whether v is in C but for what the projection rounds: that is known to first order."""
