@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 
 # Semiaxes of images that are projected on by their balls, which have one unit for all of them. Of
-# 2,300 random images with columns of 1e-4 to 1e4 3 were StepErrors with 1e2, 4 with it, 6 with 1e4.
-EVEN = 1e3
+# 2,300 random images with columns of 1e-4 to 1e4 3 were StepErrors with 1e2, 4 with 1e3, 6 with it.
+EVEN = 1e4
 
 
 class Balls(ConvexSet):
