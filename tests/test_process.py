@@ -62,6 +62,15 @@ def test_the_bound_of_the_paper_asks_for_its_assumption():
     assert still.variation([0, 4]) == pytest.approx(12 / np.sqrt(2), rel=1e-14)  # B is A's place
 
 
+@pytest.mark.parametrize("paper", [False, True])
+def test_a_start_outside_by_rounding_has_the_velocity_of_its_distance(paper):
+    """Of a tiny viscosity that is no rounding: |u'|_A = 5e-10 / sqrt(1e-12)."""
+    process = so.SweepingProcess(1e-12, 1.0, so.Box(-1, 1), 1 + 5e-10)
+    size = process.metric.norm(so.velocity_field(process)(0.0, process.u0))
+    assert size == pytest.approx(5e-4, rel=1e-6)
+    assert process.velocity_bound([0, 1], paper=paper).value == pytest.approx(size, rel=1e-12)
+
+
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_the_a_priori_bound_is_above_the_velocity_of_random_processes():
     """|u'(t)|_A <= d(B u0, C(0)) + v(t) at every time; exact velocities at the nodes of a run."""

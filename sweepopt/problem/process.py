@@ -444,7 +444,7 @@ class SweepingProcess(Displayed):
             Grid from 0 to T; what is between its ends matters only where C(t) is no data.
         paper : bool
             The constant that the paper prints, 8 v(T) exp(Lam T) in these norms: 8 v(T) because it
-            truncates C, and B u0 in C(0).
+            truncates C, and B u0 in C(0); where it is up to rounding, the distance is added.
 
         Raises
         ------
@@ -458,17 +458,17 @@ class SweepingProcess(Displayed):
         v = self.variation(times)
         times = vector("times", times)
         start = float(times[0])
-        excess = _excess(self.times_B(self.u0), self.C.at(start))
-        distance = self.metric.dual_norm(excess)
-        value = distance + v
+        force, C = self.times_B(self.u0), self.C.at(start)
+        distance, factor = self.metric.dual_norm(force - C.project(force)), 1.0
         if paper:
-            if distance:
+            if _excess(force, C).any():
                 raise InputError(
                     f"the paper's bound asks for B u0 in C({start:g}), whose distance is "
                     f"{distance:g}; leave paper out, or change u0"
                 )
             with np.errstate(over="ignore"):
-                value = 8 * v * float(np.exp(self.Lam * (times[-1] - start))) if v else 0.0
+                factor = 8 * float(np.exp(self.Lam * (times[-1] - start)))
+        value = distance + (factor * v if v else 0.0)
         return VelocityBound(float(value), float(v), distance, v.guaranteed)
 
 
