@@ -1,5 +1,6 @@
 """The program of a step in cvxpy: what it says, and that its answer is the step of the run."""
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -55,6 +56,7 @@ def same_as_the_run(sol, i):
         (so.Box([-1, -2, 0], [1, 2, 0]), "g @ abs(z)"),
         (so.Box([-1, -2, 0], [1, 3, 0]), "lower"),
         (so.Ball(np.zeros(n), 1.5), "1.5 * P"),
+        (2 * so.Ball(np.zeros(n), 1.0), "+ 2.0 * P"),
         (so.Balls([1.0, 2.0, 3.0], 1), "g @ norm1(reshape(z"),
         (so.Polytope(np.eye(n)), "max(V @ z"),
         (so.Polyhedron(np.eye(n), np.ones(n)), "h @ y"),
@@ -89,6 +91,15 @@ def test_a_cone_is_a_constraint_and_data_that_come_twice_are_numbered():
     twice = program_of(rows + so.Polyhedron(2 * np.eye(n), np.ones(n)))
     assert set(twice.problem.var_dict) == {"z", "y", "y_2"}
     assert {"M", "G", "G_2", "h", "h_2"} <= {one.name() for one in twice.problem.constants()}
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.SweepoptWarning")
+def test_constraints_of_a_user_print_as_a_cone_of_multipliers_with_named_data():
+    shown = str(program_of(so.Constraints(n, lambda w: [cp.norm(w, 1) <= 1])))
+    assert "+ h @ Hstack(y)" in shown
+    assert "G.T @ y == -z" in shown
+    assert "H.T @ y == 0.0" in shown
+    assert "var" not in shown
 
 
 def test_its_data_are_those_of_the_user_without_a_scale():

@@ -130,8 +130,9 @@ class Constraints(ConvexSet):
 
         if not self.offsets.size:
             return Features([], [p == 0])
-        y = cp.Variable(self.offsets.size)
-        ties = [M.T @ y == right for M, right in ((self.G, p), (self.H, 0)) if M.shape[1]]
+        y = cp.Variable(self.offsets.size, "y")
+        rows = (("G", self.G, p), ("H", self.H, 0))
+        ties = [cp.Constant(M, name).T @ y == right for name, M, right in rows if M.shape[1]]
         return Features([y], [*ties, *in_dual(y, self.cones)])
 
     def normal_pair(self, p: Any, w: Any, tau: Any) -> None:

@@ -62,7 +62,9 @@ class Statement:
             case Box():
                 return self.box(C, p)
             case Ball():
-                return self.sigma(Point(C.center), p) + C.radius * cp.norm(p)
+                norm = cp.norm(p)
+                value = norm if C.radius == 1 else C.radius * norm
+                return self.sigma(Point(C.center), p) + value
             case Balls():
                 arms = cp.reshape(p, (C.radii.size, C.block), order="C")
                 return self.data("g", C.radii) @ cp.norm(arms, min(C.block, 2), axis=1)
