@@ -50,7 +50,9 @@ def writable(name: str, value: Any) -> Path:
         raise InputError(f"{name} is {given}, which is no path: {error}") from None
     if not folder:
         raise InputError(f"{name} is {given}, but there is no folder {str(path.parent)!r}")
-    if occupied or not os.access(path.parent, os.W_OK):
+    if occupied:
+        raise InputError(f"{name} is {given}, which is no regular file")
+    if not os.access(path.parent, os.W_OK):
         raise InputError(f"{name} is {given}, where no file can be written")
     return path
 

@@ -530,8 +530,10 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
         with refuses(f"{path.name}.*no regular file"):
             read_mesh(path)
     for path in (pipe, Path("/dev/full")):
-        with refuses(r"checkpoint is .* where no file can be written"):
+        with refuses(r"checkpoint is .* which is no regular file"):
             so.solve(process, checkpoint=path, **settings)
+        with refuses(f"path is .*{path.name}.*, which is no regular file"):
+            so.resume(path, process)
 
 
 def test_a_checkpoint_that_can_have_no_lock_is_refused_by_name(tmp_path):

@@ -152,6 +152,7 @@ def test_callbacks_and_failures_see_all_unknowns():
     sol = so.solve(this, t_end=4.0, steps=30, callback=seen.append)
     assert np.array_equal([info.u for info in seen], sol.u[1:])
     assert np.array_equal([info.velocity for info in seen], sol.velocity)
+    assert repr(seen[3]).startswith(f"StepInfo(step=3, t={float(sol.t[4])}, u=(40,) in [")
     with pytest.raises(so.StepError) as caught:
         so.solve(this, t_end=4.0, steps=30, tol=1e-30)
     assert caught.value.u.shape == (40,)

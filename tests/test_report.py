@@ -165,7 +165,7 @@ def test_the_table_holds_every_cell_the_failed_ones_first(browser):
     [
         (lambda path: write_report(None, path), "there are no hard cases: nothing to report"),
         (lambda path: write_report(study_table(), path / "no" / "a.html"), "there is no folder"),
-        (lambda path: write_report(study_table(), path.parent), "no file can be written"),
+        (lambda path: write_report(study_table(), path.parent), "is no regular file"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(call, words, tmp_path):

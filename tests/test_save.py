@@ -200,7 +200,7 @@ def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path
 
 def test_a_folder_is_no_file_for_a_run(tmp_path):
     (tmp_path / "folder.nc").mkdir()
-    with refuses("no file can be written"):
+    with refuses("is no regular file"):
         run("eliminated", save=tmp_path / "folder.nc")
     with refuses("it is a folder, name the file in it"):
         so.Solution.load(tmp_path / "folder.nc")

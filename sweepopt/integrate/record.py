@@ -43,9 +43,6 @@ class States(NamedTuple):
     u: Callable[[Index], Array]
     velocity: Callable[[Index], Array]
 
-    def __repr__(self) -> str:
-        return by_parts(self)
-
 
 COLUMNS = ["t", "seconds", "iterations", "attempts", "certificate", "relative", "solver"]
 ROW = np.dtype({"names": COLUMNS, "formats": ["f8", "f4", "i4", "i4", "f8", "f8", "i2"]})
@@ -77,9 +74,6 @@ class Statistics(NamedTuple):
 
     rows: Array
     solvers: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return by_parts(self)
 
     def table(self) -> StepTable:
         """With full numbers and the names themselves, shape (n,)."""

@@ -129,8 +129,8 @@ def dominates(P: Matrix, Q: Matrix, by_factors: bool = True) -> bool:
     # what factors of bodies of n unknowns round
     shift = rounding / w + 64 * math.sqrt(len(w)) * UNIT * diagonal
     for _ in range(2 * by_factors):
-        diagonal_part = sp.diags_array(shift) if sp.issparse(M) else np.diag(shift)
-        error = SUMS * (rounding + _backward_error(M - diagonal_part, w)) / w
+        shifts = sp.diags_array(shift) if sp.issparse(M) else np.diag(shift)
+        error = SUMS * (rounding + _backward_error(M - shifts, w)) / w
         if (error <= shift).all():
             return True
         if error.max() == math.inf:

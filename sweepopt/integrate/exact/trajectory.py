@@ -26,7 +26,7 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point
 
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
-PHASES = 100_000  # a minute, with one unknown
+PHASES = 100_000  # two and a half minutes, with one unknown
 STALL = 20
 """Phases a row within sqrt(EPS) of the run, or up to twice as many: switches accumulate there, too.
 With 80 the one of 430 runs that ends so does so, too."""
