@@ -42,8 +42,10 @@ def test_a_cone_enters_as_a_minkowski_sum_with_its_polar():
 def test_only_translates_are_variational_inequalities():
     process = case("P09").process  # the numbers of both forms agree: test_reference.py
     assert process.as_vi().load is process.C.center
-    with refuses("Moving without scale"):
-        case("S04").process.as_vi()
+    grows = so.Moving(so.Box(-1, 1), scale=so.Sine(0.5, period=3.0, offset=1.0))
+    for other in (case("S04").process, so.SweepingProcess(1.0, 1.0, grows, 0.0)):
+        with refuses("Moving without scale"):
+            other.as_vi()
 
 
 def test_the_bound_of_the_paper_asks_for_its_assumption():
