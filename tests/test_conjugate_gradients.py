@@ -123,6 +123,7 @@ def test_a_proportional_body_is_not_factorised_either():
     assert "factors: they would need" in str(sol.plan)
     assert worst_certificate(sol) <= 1e-6
     assert not sol.error_bound().guaranteed
+    assert not sol.process.variation([0.0, 2.0]).guaranteed
 
 
 @pytest.mark.usefixtures("little_memory")

@@ -98,6 +98,21 @@ def test_the_a_priori_bound_is_above_the_velocity_of_random_processes():
     assert max(ratios) > 0.5
 
 
+@pytest.mark.parametrize(
+    "C",
+    [
+        so.MovingSet(lambda t: so.Box(np.sin(t) - 1, np.sin(t) + 1)),
+        so.Moving(so.Box(-1, 1), np.sin),
+    ],
+)
+def test_the_variation_of_functions_is_what_the_times_show_and_no_guarantee(C):
+    process = so.SweepingProcess(4.0, 2.0, C, 0.0)
+    coarse, fine = (process.variation(np.linspace(0, 2 * np.pi, n)) for n in (4, 401))
+    assert (coarse, fine) == pytest.approx((np.sqrt(3), 2.0), rel=1e-4)
+    assert not coarse.guaranteed
+    assert not process.velocity_bound([0, 1]).guaranteed
+
+
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_the_a_priori_bound_does_not_depend_on_the_mesh(element):
     values = []
