@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from sweepopt.io import list_scenes
+
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 
@@ -29,6 +31,11 @@ def test_it_is_short_and_its_picture_is_there():
     assert len(README.splitlines()) < 120
     for picture in re.findall(r"!\[.*?\]\((.*?)\)", README):
         assert (ROOT / picture).is_file()
+
+
+def test_the_scenes_are_those_that_the_readme_counts():
+    assert "thirteen more scenes" in README
+    assert len(list_scenes()) == 13 + 1
 
 
 def test_what_the_guide_names_is_there():
