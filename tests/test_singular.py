@@ -191,3 +191,24 @@ def test_a_bar_on_a_soft_spring_is_no_body_that_can_move():
     process = so.EvolutionVI(None, A, load=load, dissipation=friction, u0=0 * ones)
     u = so.solve(process, t_end=1.0, steps=4).u[-1]
     np.testing.assert_allclose(u, 0.75 * (1 / (A.diagonal()[0] - 1) + np.arange(n)), rtol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize("kind", ["image", "cut"])
+def test_a_body_relaxes_in_a_flat_set_whose_ends_are_far_away(kind):
+    """The ends of the set round 1e-14, which is no part of velocities that fall to 1e-11."""
+    random = np.random.default_rng(5)
+    root, b, M = (random.normal(size=shape) for shape in ((3, 3), (3, 1), (3, 2)))
+    A, B, N = root @ root.T + np.eye(3), b @ b.T, scipy.linalg.null_space(M.T)
+    rows = np.vstack([N.T, -N.T])
+    C = {
+        "image": so.image(M, so.Polyhedron(random.normal(size=(3, 2)), [50.0] * 3)),
+        "cut": so.Ball([0.0] * 3, 50.0) & so.Polyhedron(rows, [0.0, 0.0]),
+    }[kind]
+    u = random.normal(size=3)
+    sol = so.solve(so.SweepingProcess(A, B, C, u), t_end=56.0, steps=28, scheme="implicit-euler")
+    for z in sol.velocity:  # across the plane alone, linear
+        expected = -N @ np.linalg.solve(N.T @ (A + 2 * B) @ N, N.T @ B @ u)
+        assert np.linalg.norm(z - expected) <= 1e-6 * np.linalg.norm(expected)
+        u = u + 2 * expected
+    assert 0 < np.linalg.norm(expected) < 1e-10

@@ -138,8 +138,12 @@ class Aligned(ConvexSet):
         return sigma if self.v is None else sigma + float(self.v @ z)
 
     def project(self, w: Array) -> Array:
-        each = self._split(self._back(w))
-        return self._to(self._joined([S.project(x) for S, x in each]))
+        x = self._back(w)
+        y = self._joined([S.project(x) for S, x in self._split(x)])
+        return w if np.array_equal(x, y) else self._to(y)
+
+    def is_inside(self, w: Array) -> bool:
+        return not self._few and all(S.is_inside(x) for S, x in self._split(self._back(w)))
 
     def project_quickly(self, w: Array) -> Array | None:
         each: list[Any] = [S.project_quickly(x) for S, x in self._split(self._back(w))]

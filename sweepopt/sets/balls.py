@@ -15,6 +15,7 @@ from sweepopt.checks import HUGE, Array, dimension, entries, number, symmetric
 from sweepopt.errors import InputError
 from sweepopt.linalg import Precise, dense
 from sweepopt.sets.base import (
+    INSIDE,
     RANK,
     ROUNDING,
     TINY,
@@ -126,6 +127,12 @@ class Balls(ConvexSet):
         share = np.divide(self.radii, sizes, out=np.ones_like(sizes), where=out)
         D = share * (np.eye(self.block)[:, :, None] - n[:, None] * n)
         return [neighbours(D.transpose(2, 0, 1))]
+
+    def is_inside(self, w: Array) -> bool:
+        short = self.radii - lengths(self._arms(w))
+        if (short <= 0).any():  # at once, as it is asked at each projection
+            return False
+        return bool((short > INSIDE * (np.abs(w).max() + self.radii)).all())
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]

@@ -204,8 +204,7 @@ class Lifted(ConvexSet):
     def _projection(self, v: Array, start: Start | None = None, patient: bool = True) -> Projection:
         near = self._projector(v.copy(), start, patient)
         cut = self._cut and self.lifted.small
-        # a polyhedron's is linear in the data, however large its multipliers are
-        sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
+        sure = near.exact and np.array_equal(near.w, v)
         if cut and not sure and near.splitting.is_tense(near):
             raise TouchingError(
                 f"C & D: the two sets only touch, or miss each other, so that rounding hides the "
@@ -474,7 +473,7 @@ class Intersection(Lifted):
         if all(C.exact for C in self.operands):
             for part in self.operands:
                 w = part.project(v)
-                if not any(other.normal(w).any() for other in self.operands if other is not part):
+                if all(other.is_inside(w) for other in self.operands if other is not part):
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))
         return None
 
@@ -493,10 +492,11 @@ class Intersection(Lifted):
         # a projection on C & D does from afar, which takes 4 ms for two balls and these 0.1
         v = self.operands[0].anchor
         for k in range(REFLECTIONS if all(C.exact for C in self.operands) else 0):
-            if self._pair_of_one(v) is not None:
-                return
             for C in self.operands:
-                v = (2 if k else 1) * (C.project(v) - v) + v
+                w = C.project(v)
+                if not any(D.normal(w).any() for D in self.operands if D is not C):
+                    return
+                v = (2 if k else 1) * (w - v) + v
         super()._require_point(where)
 
     @property

@@ -63,13 +63,14 @@ Map = Callable[[Array], Array]
 class Projection(NamedTuple):
     """The point w = E s of C nearest to v; s = P(image), both in units of the splitting.
 
-    `exact` says whether it is that to rounding of the data.
+    `exact` says whether it is that to rounding of the data, `scale` how much P rounds.
     """
 
     v: Array
     w: Array
     s: Array
     image: Array
+    scale: Array
     exact: bool
     splitting: Splitting
 
@@ -115,8 +116,15 @@ class Projector:
         Without patience from the start alone.
         """
         plain = self.splitting(1.0)
-        if start is None or start.s.size != plain.units.size:
-            s = plain.projected(plain.E.T @ v)
+        pull = plain.E.T @ v
+        if start is not None and (
+            start.s.size != pull.size
+            # what cancels among normals, as of opposite rows, stays from larger forces
+            or np.abs(start.n / plain.units).max() > TENSION * np.abs(pull).max()
+        ):
+            start = None
+        if start is None:
+            s = plain.projected(pull)
             start = Start(s, plain.E.T @ (v - plain.E @ s)).scaled(1 / plain.units)
         for point in chain([start], plain.proximal_points(v, start) if patient else ()):
             near = self._from(v, point)
@@ -131,8 +139,8 @@ class Projector:
         """
         plain = self.splitting(1.0)
         s, n = start.scaled(plain.units)
-        size_s = float(max(np.abs(s).max(), plain.rounding_scale(s).max()))
-        size_n = max(float(np.abs(n).max()), float(abs(plain.E).max() * np.abs(v).max()))
+        size_s = float(max(np.abs(s).max(), plain.extent))
+        size_n = max(float(np.abs(n).max()), plain.pull_size(v))
         if not size_s + size_n:  # 0, and from 0, which may be far from the parts
             size_s = float(np.abs(plain.projected(s)).max())
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
@@ -162,7 +170,7 @@ class InMetric:
     """
 
     def __init__(self, C: ConvexSet, M: Array) -> None:
-        self._C, self._form, self._polyhedral = C, C.form(), C.polyhedral
+        self._C, self._form = C, C.form()
         self._root = _inverse_root(M)
         self._E = dense(self._form.E)
         # any normal is one of a point
@@ -190,8 +198,7 @@ class InMetric:
         perturbation, w = np.inf, self._E @ s if near.exact else None
         if near.exact and proved:
             # 0.0 where the normals that p adds up are rounding of the points
-            rounding = np.abs(near.s) + near.splitting.rounding_scale(near.image)
-            pulls = np.abs(near.image - near.s) > ROUNDING * rounding
+            pulls = np.abs(near.image - near.s) > ROUNDING * (np.abs(near.s) + near.scale)
             rests = (self._alone & ~pulls).any(axis=1)
             rests |= ~(self._sums & np.append(pulls, True)).any(axis=1)
             p[rests | (np.abs(p) <= ROUNDING * np.abs(p).max())] = 0.0
@@ -201,9 +208,9 @@ class InMetric:
     def _perturbation(self, near: Projection, p: Array, u: float, inverse: Array) -> float:
         """From E, not from L^-1 E, which is rounded: that only weighs what is left of it."""
         splitting = near.splitting
-        E, sizes = self._E / splitting.units, np.abs(near.s) + splitting.rounding_scale(near.image)
+        E, sizes = self._E / splitting.units, np.abs(near.s) + near.scale
         shifts = splitting.shifts(near, E.T @ p, np.abs(E.T) @ np.abs(p))
-        if shifts is None or (not self._polyhedral and splitting.is_tense(near)):
+        if shifts is None or splitting.is_tense(near):
             return np.inf
         of_w = np.abs(inverse) @ (ROUNDING / 4 * np.abs(E) @ sizes)
         # the pair is that of w + M p, w and p are shifted alike, and p counts twice
@@ -240,12 +247,15 @@ class Splitting:
         self.small, self.units = form.small, units
         self.smooth = form.small and all(part.differentiable for part in form.parts)
         self.parts = placed(form.parts)
+        self._curved = np.concatenate([np.full(S.dim, not S.polyhedral) for S in form.parts])
         # a box rounds nothing
         self._rounded = [
-            (at, units[at], float(np.abs(part.offsets).max(initial=0.0)))
+            (part, at, float(np.abs(part.offsets).max(initial=0.0)))
             for part, at in self.parts
             if not isinstance(part, Box)
         ]
+        extents = (units[at].max() * size for _, at, size in self._rounded)
+        self.extent = float(max(extents, default=0.0))
         m, n = form.F.shape
         if self.small:
             rows = form.rows / units
@@ -258,6 +268,7 @@ class Splitting:
             system = [[inner, self.F.T], [self.F, None]]
             self._factor = splu(sp.csc_array(sp.block_array(system)))
         self._sums = [abs(M).sum(axis=1) for M in (self.E, self.F)]
+        self._largest = float(abs(self.E).max())
 
     def K(self, x: Array) -> Array:
         """argmin of 1/2 |E s|^2 + 1/2 |s|^2 - <x, s> under F s = 0."""
@@ -271,10 +282,11 @@ class Splitting:
         return self.units * np.concatenate([part.project(x[at]) for part, at in self.parts])
 
     def rounding_scale(self, x: Array) -> Array:
-        """The size of what projections round, entry by entry."""
-        scale = np.zeros(x.size)
-        for at, unit, size in self._rounded:
-            scale[at] = unit * max(np.abs(x[at] / unit).max(), size)
+        """The size of what projections round, entry by entry; 0 of parts that do not bind."""
+        x, scale = x / self.units, np.zeros(x.size)
+        for part, at, size in self._rounded:
+            if not part.is_inside(x[at]):
+                scale[at] = self.units[at] * max(np.abs(x[at]).max(), size)
         return scale
 
     def derivative_of_parts(self, x: Array) -> Array | None:
@@ -308,7 +320,7 @@ class Splitting:
             return x + (on_parts - s)
 
         if self.smooth:
-            (s, image, on_parts), fixed = self._newton(at, x, size)
+            (s, image, on_parts), fixed = self._newton(v, at, x, size)
         else:
             x, fixed = fixed_point(step, x, size)
             s, image, on_parts = at(x)
@@ -316,8 +328,18 @@ class Splitting:
         off, limits = np.abs(self.F @ on_parts), size * self._sums[1]
         exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
         exact = exact and bool((off <= 10 * ROUNDING * limits).all())
-        near = Projection(v, self._point(v, on_parts, size), on_parts, image, exact, self)
+        scale = self.rounding_scale(image)
+        size = min(size, self._size(v, image, scale))
+        near = Projection(v, self._point(v, on_parts, size), on_parts, image, scale, exact, self)
         return near._replace(w=v.copy()) if self._hides_rest(near, size) else near
+
+    def pull_size(self, v: Array) -> float:
+        """Of the terms of E^T v."""
+        return self._largest * float(np.abs(v).max())
+
+    def _size(self, v: Array, image: Array, scale: Array) -> float:
+        """Of what rounds in points s and normals n, image = s + n."""
+        return max(float(np.abs(image).max()), float(scale.max()), self.pull_size(v))
 
     def _hides_rest(self, near: Projection, size: float) -> bool:
         """Whether v is in C but for what the projection rounds: that is known to first order."""
@@ -328,7 +350,7 @@ class Splitting:
         return moved is not None and euclidean(p) <= 2 * euclidean(moved.w)
 
     def _newton(
-        self, at: Callable[[Array], Iterate], x: Array, size: float
+        self, v: Array, at: Callable[[Array], Iterate], x: Array, size: float
     ) -> tuple[Iterate, bool]:
         """Whole Newton steps on P_S(image) = s, and whether they end there to rounding.
 
@@ -336,11 +358,15 @@ class Splitting:
         solve it (X. Xiao, Y. Li, Z. Wen, L. Zhang, A regularized semi-smooth Newton method with
         projection steps, J. Sci. Comput. 76, 2018). Where they go to and fro, proximal points help.
         """
-        iterate, one = at(x), np.eye(x.size)
+        iterate, one, before = at(x), np.eye(x.size), np.inf
         for _ in range(NEWTON_STEPS):
             r = iterate.on_parts - iterate.s
-            if np.abs(r).max() <= ROUNDING * size:
-                return iterate, True
+            off = np.abs(r).max()
+            if off <= ROUNDING * size:
+                scale = self.rounding_scale(iterate.image)
+                if 2 * off > before or off <= ROUNDING * self._size(v, iterate.image, scale):
+                    return iterate, True
+            before = off
             D = self.derivative_of_parts(iterate.image)
             if D is None:
                 break
@@ -364,7 +390,7 @@ class Splitting:
         A, zero = np.vstack([self.E, -self.F]), np.zeros(len(self.F))
         y = np.append(v - self.E @ s, zero)
         pull = float(np.abs(A.T @ y).max())
-        size_s = float(max(np.abs(s).max(), self.rounding_scale(s).max()))
+        size_s = float(max(np.abs(s).max(), self.extent))
         # beyond it the rounding of projections of s + c n is as large as n
         most = REGULAR / (ROUNDING * float((A * A).sum()))
         c = min(size_s / pull, most) if size_s and pull else 1.0
@@ -417,11 +443,13 @@ class Splitting:
     def is_tense(self, near: Projection) -> bool:
         """Whether multipliers of F s = 0 are many times as large as v - w, as forces on parts.
 
-        They have no bound where the parts meet in no interior point.
+        They have no bound where the parts meet in no interior point. An exact projection on flat
+        parts is linear in the data, however large these are.
         """
         pull = self.E.T @ near.p
         n, _ = self.normals(pull, near.image - near.s)
-        return euclidean(pull - n) > (TENSION_EXACT if near.exact else TENSION) * euclidean(pull)
+        of, most = (self._curved, TENSION_EXACT) if near.exact else (slice(None), TENSION)
+        return euclidean((pull - n)[of]) > most * euclidean(pull)
 
     def perturbation(self, near: Projection, p: Array) -> Perturbation | None:
         """How far w = E s and p are from the projection of w + p and its normal, to first order.
@@ -431,7 +459,7 @@ class Splitting:
         shifts = self.shifts(near, self.E.T @ p, np.abs(self.E.T) @ np.abs(p))
         if shifts is None:
             return None
-        sizes = np.abs(near.s) + self.rounding_scale(near.image)
+        sizes = np.abs(near.s) + near.scale
         of_w = np.abs(near.w - self.E @ near.s) + ROUNDING / 4 * np.abs(self.E) @ sizes
         return Perturbation(shifts + of_w, shifts)
 
@@ -442,7 +470,7 @@ class Splitting:
             return None
         response = self._response(D)
         some = float(pull.any())  # 0 is normal everywhere
-        s, F, scale = near.s, self.F, self.rounding_scale(near.image)
+        s, F, scale = near.s, self.F, near.scale
         n = some * (near.image - s)
         normals, forces = self.normals(pull, n)
         off = response @ np.concatenate([normals - n, -F @ s])

@@ -68,10 +68,10 @@ def _rounding(near: Projection, widths: Array) -> float:
     without a width have one where the others move in their bounds and F s = 0.
     """
     splitting, s, p = near.splitting, near.s, near.p
-    n, scale = near.image - s, splitting.rounding_scale(near.image)
+    n, scale = near.image - s, near.scale
     E, free, widths = splitting.E, np.isinf(widths), widths.copy()
     if free.any():
-        widths[free] = SEEN * max(np.abs(s).max(), scale.max())
+        widths[free] = SEEN * max(np.abs(s).max(), splitting.extent)
         if not free.all() and free.sum() <= DENSE:
             sizes = np.linalg.svd(dense(E[:, free]), compute_uv=False)
             moved = euclidean(near.w) + euclidean(abs(E[:, ~free]) @ widths[~free])
