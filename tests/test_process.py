@@ -113,6 +113,23 @@ def test_the_variation_of_functions_is_what_the_times_show_and_no_guarantee(C):
     assert not process.velocity_bound([0, 1]).guaranteed
 
 
+def test_a_set_on_one_unknown_that_grows_away_from_0_varies_by_its_farthest_point():
+    S = so.image(np.eye(2)[:, :1], so.Box(-1, 1)) + np.array([0.0, 10.0])
+    growing = so.Moving(S, scale=so.Sine(1.0, period=4.0, offset=3.0))  # by 1 until t = 1
+    process = so.SweepingProcess(np.eye(2), None, growing, np.zeros(2))
+    variation = process.variation([0, 1])
+    assert variation.guaranteed
+    assert np.hypot(1, 10) <= variation <= 11 + 1e-12
+
+
+def test_rows_on_some_unknowns_whose_distance_is_that_of_no_translate_have_no_variation():
+    few = so.Polyhedron([[1.0, 2.0], [1.0, -1.0]], so.Separable([(so.Sine(1.0, 4.0), [1.0, 2.0])]))
+    C = so.image(np.eye(3)[:, :2], few)
+    process = so.SweepingProcess(np.eye(3) + 0.5, None, C, np.zeros(3))
+    with refuses("distance of C.* is not known"):
+        process.variation([0, 1])
+
+
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_the_a_priori_bound_does_not_depend_on_the_mesh(element):
     values = []
