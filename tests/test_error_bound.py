@@ -183,6 +183,14 @@ def test_the_bound_of_stiff_runs_is_as_close_as_the_readme_says(n, most):
             check_close(stiff(n, rate), 1.0, 10, scheme, factor)
 
 
+@pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint", "sdirk32"])
+def test_the_bound_of_a_stiff_body_that_starts_in_motion_is_close_to_the_error(scheme):
+    # 6 to 12 times the error with equal parts of the first step
+    rest = stiff(6, 1e6)
+    start = np.array([2.0, 0.0, -1.0, 0.0, 2.0, -1.0])
+    check_close(so.SweepingProcess(rest.A, rest.B, rest.C, start), 1.0, 10, scheme, 1.7)
+
+
 @pytest.mark.parametrize(
     "A, t_end, error, r, most",
     [  # e' A e' = -e' (B e + r) / 2, the most for r of class L^2; and a circle: e' normal to e + r

@@ -375,6 +375,10 @@ class SweepingProcess(Displayed):
         )
         return True
 
+    def start_excess(self, t: float) -> Array:
+        """B u0 less the nearest point of C(t), 0 where it is in C(t); u0 holds at t."""
+        return _excess(self.times_B(self.u0), self.C.at(t))
+
     def _balance(self, t: float) -> tuple[str, str]:
         """What is where if the body can be at rest, in words."""
         return "B u0", f"in C({t:g})"
@@ -461,7 +465,7 @@ class SweepingProcess(Displayed):
         force, C = self.times_B(self.u0), self.C.at(start)
         distance, factor = self.metric.dual_norm(force - C.project(force)), 1.0
         if paper:
-            if _excess(force, C).any():
+            if self.start_excess(start).any():
                 raise InputError(
                     f"the paper's bound asks for B u0 in C({start:g}), whose distance is "
                     f"{distance:g}; leave paper out, or change u0"
