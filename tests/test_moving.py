@@ -267,6 +267,25 @@ def test_a_lipschitz_matrix_that_is_too_small_is_found_by_the_iteration():
         so.solve(isotropic(C), t_end=1.0, steps=10)
 
 
+@pytest.mark.parametrize("seed", [46, 50, 51])
+def test_a_lipschitz_matrix_that_is_just_large_enough_is_no_error(seed):
+    """Of 60 such bodies these iterate down to what the ends of their sets round."""
+    random = np.random.default_rng(seed)
+    n = int(random.integers(1, 4))
+    A, B = (np.diag(10 ** random.uniform(-1, 1, n)) for _ in range(2))
+    g, w = random.random(n) + 0.2, random.uniform(0.1, 0.6)
+    steps, force = int(random.integers(10, 40)), 2 * random.normal(size=n)
+
+    def weakening(t, u):
+        friction = g * (1 - w * np.tanh(abs(u)))
+        load = force * np.sin(2 * t) + 0.3 * t
+        return so.Box(load - friction, load + friction)
+
+    process = so.SweepingProcess(A, B, so.StateDependent(weakening, np.diag(g * w)), np.zeros(n))
+    for scheme in ("implicit-euler", "sdirk2", "auto"):
+        assert so.solve(process, t_end=3.0, steps=steps, scheme=scheme, tol=1e-9).success
+
+
 def test_what_a_set_adds_to_the_rate_counts_for_the_step_of_the_explicit_scheme():
     def run(steps):
         C = so.StateDependent(lambda t, u: so.Box(t - 1 - 10 * abs(u), t + 1 + 10 * abs(u)), 10)
