@@ -13,7 +13,7 @@ import numpy as np
 
 from sweepopt.checks import HUGE, Array, dimension, entries, number, symmetric
 from sweepopt.errors import InputError
-from sweepopt.linalg import Precise, dense
+from sweepopt.linalg import Precise, dense, row_lengths
 from sweepopt.sets.base import (
     INSIDE,
     RANK,
@@ -81,14 +81,14 @@ class Balls(ConvexSet):
         return (w - self.center).reshape(-1, self.block)
 
     def support(self, z: Array) -> float:
-        return float(np.sum(self.center * z) + self.radii @ lengths(z.reshape(-1, self.block)))
+        return float(np.sum(self.center * z) + self.radii @ row_lengths(z.reshape(-1, self.block)))
 
     def project(self, w: Array) -> Array:
         return self.project_rows(w[None])[0]
 
     def project_rows(self, rows: Array) -> Array:
         arms = self._arms(rows).reshape(len(rows), -1, self.block)
-        sizes = lengths(arms)
+        sizes = row_lengths(arms)
         outside = sizes > self.radii
         if not outside.any():
             return rows
@@ -107,7 +107,7 @@ class Balls(ConvexSet):
         p, arms = (
             np.moveaxis(x.reshape(*x.shape[:2], -1, self.block), 2, 1) for x in (p, w - self.center)
         )
-        sigma = self.radii[:, None] * lengths(p)
+        sigma = self.radii[:, None] * row_lengths(p)
         gaps = np.maximum(sigma[..., None] - p @ np.swapaxes(arms, 2, 3), 0.0)
         gaps += ROUNDING * (sigma + np.abs(shift)[:, None])[..., None]
         of_w = (products(2, w.shape[1] - 1) * gaps).sum(axis=(2, 3))
@@ -120,7 +120,7 @@ class Balls(ConvexSet):
     def blocks(self, v: Array) -> list[Blocks]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
         arms = self._arms(v)
-        sizes = lengths(arms)
+        sizes = row_lengths(arms)
         out = sizes > self.radii
         # the balls last: products of few entries run along them
         n = np.divide(arms.T, sizes, out=np.zeros(arms.T.shape), where=out)
@@ -129,7 +129,7 @@ class Balls(ConvexSet):
         return [neighbours(D.transpose(2, 0, 1))]
 
     def is_inside(self, w: Array) -> bool:
-        short = self.radii - lengths(self._arms(w))
+        short = self.radii - row_lengths(self._arms(w))
         if (short <= 0).any():  # at once, as it is asked at each projection
             return False
         return bool((short > INSIDE * (np.abs(w).max() + self.radii)).all())
@@ -254,7 +254,7 @@ class SecondOrderCone(ConvexSet):
     def _split(self, w: Array) -> tuple[Array, Array, Array]:
         """Heights over the apex, arms from the axis and their lengths, one for each cone."""
         rows = w.reshape(-1, self.block)
-        return rows[:, 0], rows[:, 1:], lengths(rows[:, 1:])
+        return rows[:, 0], rows[:, 1:], row_lengths(rows[:, 1:])
 
     def support(self, z: Array) -> float:
         height, _, length = self._split(z)
@@ -322,11 +322,6 @@ class SecondOrderCone(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return -SecondOrderCone(self.block, 1 / self.slopes)
-
-
-def lengths(arms: Array) -> Any:
-    """The Euclidean length of each row."""
-    return np.sqrt(np.einsum("...k,...k->...", arms, arms))
 
 
 def norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.Constraint]:

@@ -468,8 +468,8 @@ class Intersection(Lifted):
     """
 
     def _pair_of_one(self, v: Array) -> NormalPair | None:
-        # where its point lies in the others: exact from any v. Without it steps on a ball cut by a
-        # box take 1.4 to 2.5 times as long
+        # where its point is known to be in the others: exact from any v. Without it steps at rest
+        # in a ball cut by a box take 4 times as long, bounds of them 2 to 6 times
         if all(C.exact for C in self.operands):
             for part in self.operands:
                 w = part.project(v)

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from sweepopt.checks import Array
-from sweepopt.linalg import Factor
+from sweepopt.linalg import Factor, row_lengths
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
 from sweepopt.velocity.energies import Energy, Local, State
@@ -139,7 +139,7 @@ class Cones:
         state, iterations = self._energy.minimise(residual, start, law, converged)
         self._z, self._s = base + state.w, state.s.reshape(len(s0), -1)
         creep = sigma * (rates_base + state.x.reshape(len(s0), -1))
-        rigid = (lengths(s0 + creep) <= g) | (lengths(creep) <= g)
+        rigid = (row_lengths((s0 + creep).T) <= g) | (row_lengths(creep.T) <= g)
         z = self._plugs(rigid, self._z)
         at = z[self._rows.local.unknowns]
         still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
@@ -154,8 +154,8 @@ class Cones:
         A block has its multiplier, or the normal g E z / |E z|, as the certificate asks for.
         """
         s, rates = self._s, np.where(still, 0.0, self._rates(z))
-        speed = lengths(rates)
-        rounding = ROUNDING * lengths((self._sizes @ np.abs(z)).reshape(s.shape))
+        speed = row_lengths(rates.T)
+        rounding = ROUNDING * row_lengths((self._sizes @ np.abs(z)).reshape(s.shape).T)
         share = np.divide(1.0, speed, out=np.zeros_like(speed), where=speed > 0)
         normal = g * share * rates
         # of rates that are off by r: g r^2 / 2 (|v| - r) for r < |v| / 2, else 2 g r
@@ -163,7 +163,7 @@ class Cones:
         # 2 g r, and g r for the rounding of both products
         of_s = np.maximum(g * speed - (s * rates).sum(axis=0), 0.0) + ~still * (3 * g * rounding)
         # |E_k^T (normal - s)|^2 in the metric of M^-1 is about |normal - s|^2 / weights
-        residual = lengths(normal - s) ** 2 / self._weights
+        residual = row_lengths((normal - s).T) ** 2 / self._weights
         exact = (speed > 0) & (residual + 2 * of_normal < 2 * of_s)
         return np.where(exact, normal, s).ravel(), float(np.where(exact, of_normal, of_s).sum())
 
@@ -173,7 +173,7 @@ class Cones:
 
     def _derivative(self, g: Array, v: Array, s: Array) -> Array:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
-        size = lengths(v)
+        size = row_lengths(v.T)
         flows = size > g
         size = np.where(flows, size, 1.0)
         of_one = np.where(flows, g / size, 1.0) * self._sigma
@@ -196,12 +196,7 @@ class Cones:
         return values[label]
 
 
-def lengths(columns: Array) -> Array:
-    """|x_k| of each column."""
-    return np.sqrt((columns * columns).sum(axis=0))
-
-
 def in_balls(v: Array, g: Array) -> Array:
     """The projection of each column on its ball."""
-    size = lengths(v)
+    size = row_lengths(v.T)
     return v * np.divide(g, size, out=np.ones_like(g), where=size > g)
