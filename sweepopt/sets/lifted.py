@@ -427,9 +427,10 @@ def _components(E: sp.csr_array, F: sp.csr_array, dims: Array) -> tuple[Array, l
     return np.intersect1d(labels[0], labels[-1]), labels
 
 
-def _rounded(v: Array) -> Perturbation:
-    """A pair's perturbation where nothing is known but v, of which w and p are parts."""
-    return Perturbation(*np.full((2, v.size), 10 * ROUNDING * np.abs(v).max()))
+def _rounded(v: Array, offsets: Array | float = 0.0) -> Perturbation:
+    """A pair's perturbation where no more is known than v, and offsets of the set beside it."""
+    size = max(np.abs(v).max(), np.abs(offsets).max(initial=0.0))
+    return Perturbation(*np.full((2, v.size), 10 * ROUNDING * size))
 
 
 class Sum(Lifted):
@@ -474,7 +475,7 @@ class Intersection(Lifted):
             for part in self.operands:
                 w = part.project(v)
                 if all(other.is_inside(w) for other in self.operands if other is not part):
-                    return NormalPair(part.normal(v), w, 0.0, _rounded(v))
+                    return NormalPair(part.normal(v), w, 0.0, _rounded(v, part.offsets))
         return None
 
     def is_beyond(self, w: Array, distance: float) -> bool:
