@@ -337,6 +337,10 @@ class Aligned(ConvexSet):
         return self._to(self._joined([S.anchor for S in self.parts]))
 
     @property
+    def far(self) -> float:
+        return abs(self.factor) * max(S.far for S in self.parts)
+
+    @property
     def shift_sizes(self) -> Array:
         sizes = abs(self.factor) * self._joined([S.shift_sizes for S in self.parts])
         return sizes if self.v is None else sizes + np.abs(self.v)

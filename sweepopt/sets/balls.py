@@ -201,6 +201,10 @@ class Ball(Balls):
         return [neighbours(D[None])]
 
     @property
+    def far(self) -> float:
+        return float(np.abs(self.center).max())
+
+    @property
     def shift_sizes(self) -> Array:
         return np.abs(self.center)
 
@@ -393,6 +397,10 @@ class Ellipsoid(ConvexSet):
         self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
         self._unit = binary(semiaxes[0])
         self.offsets = np.append(center, radius * self._unit)
+
+    @property
+    def far(self) -> float:
+        return float(np.abs(self.center).max())
 
     @property
     def shift_sizes(self) -> Array:

@@ -137,6 +137,10 @@ class Polytope(ConvexSet):
         size = cp.Variable(1)
         return Features([size], [(self.vertices / self.offsets) @ p <= size])
 
+    @property
+    def far(self) -> float:
+        return float(np.abs(self.vertices).max())
+
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
