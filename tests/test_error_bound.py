@@ -215,6 +215,23 @@ def test_the_bound_is_above_the_largest_error_that_its_inequality_allows(A, t_en
         assert bound[-1] <= most * norm(e[-1])
 
 
+def test_a_residual_that_is_switched_on_and_off_allows_an_error_next_to_the_bound():
+    # between switches e + r turns by half a circle, e' normal to it, and each makes it longer by 1
+    phase = np.repeat(np.arange(29), 8)
+    angle = np.pi * np.tile(np.arange(1, 9) / 8, 29)
+    radius = (phase + 1) * (-1.0) ** phase
+    r = np.column_stack([phase % 2 == 0, 0 * phase]).astype(float)
+    e = (radius * np.array([np.cos(angle), np.sin(angle)])).T - r
+    norms, zero = Norms(isotropic(so.WholeSpace(2), 0.0, 1.0)), np.zeros((1, len(r)))
+    size, t = norms.B.dual(r)[None], np.linspace(0.0, 1.0, len(r) + 1)
+    with np.errstate(invalid="ignore"):
+        found = _growth(
+            norms, t, Residuals(zero, zero + np.inf, zero, size, r[None], r[None], zero)
+        )
+    assert (norms.B(e) <= found.B).all()
+    assert found.B[-1] <= 1.3 * norms.B(e[-1])
+
+
 @pytest.mark.parametrize(
     "passes, goal, work, more",
     [

@@ -285,9 +285,9 @@ def _start_layer(process: SweepingProcess, Lam: float, t: Array) -> Array:
     """Times in the first step, each four times as late as the one before, from 1 / Lam on.
 
     Where B u0 is outside of C(t_0) a stiff body is nearly at rest after 1 / Lam. On equal parts of
-    the step the variation of r is all of the way until there, however short they are: bounds were
-    5 to 18 times the error of any scheme, now 1.1 to 1.4. With twice as many times they are as
-    close.
+    the step the variation of r is all of the way until there, however short they are: of 54 such
+    processes bounds were 2.3 to 3.0 times the error (medians of four schemes; at most 17.5), now
+    1.1 to 1.2. With twice as many times they are as close.
     """
     h = t[1] - t[0]
     many = math.log(min(max(h * Lam, 1.0), h / (TIME_SLACK * np.abs(t[:2]).max())), 4)
