@@ -1,5 +1,8 @@
 """The velocity of A, B and u themselves, where solvers see their rounded sum and product."""
 
+import math
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -237,3 +240,15 @@ def test_the_support_function_of_a_needle_is_that_of_its_apex():
         for z in ([1.0, 0.0], [0.3, 0.5], [1.0, -1.0]):
             assert np.isclose(C.support(z), max(apex @ z, -z[1], z[1]), rtol=1e-15 / eps)
         assert C.support([-1.0, 0.0]) == 0.0
+
+
+def test_points_beside_a_far_centre_round_as_it_does():
+    """The boundary of the ball passes 0: q is beyond it by (|q - c|^2 - 25) / (|q - c| + 5)."""
+    c = [-3, -4]
+    for q in 2.0**-20 * np.random.default_rng(0).uniform(size=(9, 2)):
+        process = so.SweepingProcess(3 * np.eye(2), np.eye(2), so.Ball(c, 5.0), q)
+        sol = so.solve(process, t_end=1e-9, steps=1, scheme="catching-up")
+        excess = sum(Fraction(x) ** 2 - 2 * Fraction(x) * a for x, a in zip(q, c, strict=True))
+        exact = -float(excess) / (np.hypot(*(q - c)) + 5) / 3 * (q - c) / np.hypot(*(q - c))
+        error = math.sqrt(3) * np.linalg.norm(sol.velocity[0] - exact)
+        assert 0 < error <= sol.stats["certificate"][0]
