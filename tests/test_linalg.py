@@ -322,7 +322,7 @@ def test_factors_that_round_as_much_as_they_may_are_no_proof(monkeypatch):
     rounding = sp.csc_matrix(np.pad(20 * u * signs, (0, 1)))
     monkeypatch.setattr(spla, "splu", lambda M, **how: splu(M + rounding, **how))
     # its largest diagonal entry and 1e-9 of it are tried first: 2
-    B = sp.block_diag([2 * np.eye(n) - M, [[2 / (1 + 1e-9)]]], "csc")
+    B = sp.block_diag([sp.csc_array(2 * np.eye(n) - M), [[2 / (1 + 1e-9)]]], "csc")
     assert 2.0 < largest_ratio(Factor(sp.csc_array(sp.eye_array(n + 1))), B) < 2.0 + 1e-8
 
 
