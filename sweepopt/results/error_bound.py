@@ -44,7 +44,7 @@ w and G of sets that operations make of sets with data of their own are in `sepa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -167,12 +167,8 @@ def error_bound(
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > STIFF
     scheme = SCHEMES["implicit-euler" if stiff else "trapezoid"]
-    best = "straight" if stiff else "velocities"
-    kind, one_curve, by_points = _methods(process, plan)
-    data = motion(process.C)
-    separate = not (data.summands or variation or unknown(process.C, data, float(run.t[0])))
-    kind = 3 - moves_straight(process.C) if separate else kind
-    best = best if not separate or process.C.at(float(run.t[0])).is_bounded else "straight"
+    kind, curves, by_points = _methods(process, plan, run.t[0], variation is not None, stiff)
+    separate = kind > 1
     programs = WORK[kind] * len(plan.scheme.b)
     parts = WORK[kind] if separate and len(plan.scheme.b) == 1 else 1 if stiff else 2
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
@@ -191,13 +187,11 @@ def error_bound(
         if not passes:  # what the run took for rest may move
             left = programs * max(_moving(run, separate), -(-(moving - len(layer)) // parts))
         left -= moving
-        # of unbounded sets all, as velocities of a cubic may have no support function
-        chosen = [best] if separate or (one_curve and largest < math.inf) else CURVES
-        curves = slopes_of_curves(nodes, slopes, chosen)
-        each, reason = residuals(norms, nodes, curves, variation, slopes[1:], members)
+        velocity = slopes_of_curves(nodes, slopes, curves)
+        each, reason = residuals(norms, nodes, velocity, variation, slopes[1:], members)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
-        v = curves[growth.curve, np.arange(len(t) - 1)]
+        v = velocity[growth.curve, np.arange(len(t) - 1)]
         nodal, distance, distance_B = _distances(norms, nodes, v, states)
         rounding = SUM_ROUNDING * math.sqrt(len(t)) * (ends.max() + nodal.max())
         first = np.searchsorted(t, run.t[:-1])
@@ -237,18 +231,31 @@ def require_bound(process: SweepingProcess, plan: Plan) -> None:
         )
 
 
-def _methods(process: SweepingProcess, plan: Plan) -> tuple[int, bool, bool]:
-    """Which of WORK, whether one curve v is tried, and whether w is one of programs' points."""
-    moving = motion(process.C)
+def _methods(
+    process: SweepingProcess, plan: Plan, t: float, varies: bool, stiff: bool
+) -> tuple[int, Sequence[str], bool]:
+    """Which of WORK, which of CURVES are tried, and whether w is one of programs' points.
+
+    One curve where each costs programs of its own; of unbounded sets a straight one, or all, as
+    velocities of a cubic may have no support function.
+    """
+    moving, bounded = motion(process.C), process.C.at(float(t)).is_bounded
     sets = [S for _, S in moving.summands]
     is_data = all(scale.function is None for scale, _ in moving.summands)
-    large = process.dim > LARGE
     sharp = all(S.sharp_gaps for S in sets)
     exact = moving.disjoint and all(S.exact for S in sets)
     by_points = plan.reduction is None and len(sets) < 2 and is_data and not (sets and exact)
     cheap = exact and sharp and not plan.cones and process.dim <= SMALL
-    one_curve = (large and plan.contact is not None) or plan.cones or not sharp
-    return int(not cheap), one_curve, by_points
+    kind, one_by_one = int(not cheap), False
+    if not varies:
+        reason = unknown(process.C, moving, float(t))
+        separate = not (sets or reason)
+        one_by_one = separate or bool(reason and not (sets and is_data and not moving.offsets))
+        kind = 3 - moves_straight(process.C) if separate else kind
+    slow = (process.dim > LARGE and plan.contact is not None) or plan.cones or not sharp
+    if not (one_by_one or (slow and bounded)):
+        return kind, CURVES, by_points
+    return kind, ["velocities" if bounded and not stiff else "straight"], by_points
 
 
 def _largest_state(norms: Norms, a: float, b: float) -> float:

@@ -373,7 +373,7 @@ def _on_intervals(
     if model.points is not None:
         w, gaps = within_separate(norms.process.C, a, b, aim, directions, model.points)
     elif not model.summands:
-        w, gaps = _sampled(norms.process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
+        w, gaps = _sampled(norms.process, 0.5 * (a + b), force, aim, directions)
     elif model.motion.offsets is None:
         w, gaps, moved = np.zeros_like(force), 2 * speed * model.distance, model.distance
         scales = [interpolate(f, a, b) for f, _ in model.summands]
@@ -557,12 +557,18 @@ def _gaps(S: ConvexSet, p: Array, s: Array, ratios: Array) -> Array:
 
 
 def _sampled(
-    process: SweepingProcess, times: Array, aim: Array, directions: Array
+    process: SweepingProcess, times: Array, force: Array, aim: Array, directions: Array
 ) -> tuple[Array, Array]:
-    """The projection of the aim on C(t) at GAUSS, and the mean of G by Gauss's rule; no bound."""
-    w, gaps = np.empty(aim.shape), np.empty(times.shape)
-    for at in np.ndindex(*times.shape):
-        C = process.C.at(float(times[at]))
-        w[at] = C.project(aim[at])
-        gaps[at] = gap(C, directions[at], w[at])
-    return w, gaps @ WEIGHTS
+    """w at GAUSS and the mean of G as they are for the projection in the middle; no bound.
+
+    At nodes r = G = 0, but where v is straight only at the end of its step.
+    """
+    w, gaps, half = force.copy(), np.empty(len(times)), np.array([0.5])
+    middles, points = basis(2, half) @ directions, basis(3, half) @ TO_BERNSTEIN
+    for i, t in enumerate(times.tolist()):
+        C = process.C.at(t)
+        s, straight = C.project((points @ aim[i])[0]), not np.ptp(directions[i], axis=0).any()
+        gaps[i] = gap(C, middles[i, 0], s)
+        shape = 1 - GAUSS if straight else 2 * GAUSS * (1 - GAUSS)
+        w[i] -= 2 * shape[:, None] * (points @ force[i] - s)
+    return w, gaps

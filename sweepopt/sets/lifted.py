@@ -440,6 +440,9 @@ class Sum(Lifted):
     def anchor(self) -> Array:
         return np.sum([C.anchor for C in self.operands], axis=0)
 
+    def magnitude(self) -> float:
+        return sum(C.magnitude() for C in self.operands)
+
     def polar(self) -> ConvexSet:
         return reduce(and_, (C.polar() for C in self.operands))
 
