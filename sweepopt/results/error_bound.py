@@ -68,7 +68,7 @@ from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
 from sweepopt.problem import ONE, Norms, SweepingProcess, histories_of, motion
 from sweepopt.results.interpolation import CURVES, Nodes, cubic, slopes_of_curves
-from sweepopt.results.residuals import CHUNK, Residuals, residuals, unknown
+from sweepopt.results.residuals import CHUNK, Residuals, projects_at_once, residuals, unknown
 from sweepopt.results.separate import moves_straight
 from sweepopt.velocity import Plan, Velocity
 
@@ -242,17 +242,17 @@ def _methods(
     moving, bounded = motion(process.C), process.C.at(float(t)).is_bounded
     sets = [S for _, S in moving.summands]
     is_data = all(scale.function is None for scale, _ in moving.summands)
-    sharp = all(S.sharp_gaps for S in sets)
+    at_once = all(map(projects_at_once, sets))
     exact = moving.disjoint and all(S.exact for S in sets)
     by_points = plan.reduction is None and len(sets) < 2 and is_data and not (sets and exact)
-    cheap = exact and sharp and not plan.cones and process.dim <= SMALL
+    cheap = exact and at_once and not plan.cones and process.dim <= SMALL
     kind, one_by_one = int(not cheap), False
     if not varies:
         reason = unknown(process.C, moving, float(t))
         separate = not (sets or reason)
         one_by_one = separate or bool(reason and not (sets and is_data and not moving.offsets))
         kind = 3 - moves_straight(process.C) if separate else kind
-    slow = (process.dim > LARGE and plan.contact is not None) or plan.cones or not sharp
+    slow = (process.dim > LARGE and plan.contact is not None) or plan.cones or not at_once
     if not (one_by_one or (slow and bounded)):
         return kind, CURVES, by_points
     return kind, ["velocities" if bounded and not stiff else "straight"], by_points

@@ -531,7 +531,7 @@ def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Arra
     size = np.broadcast_to(sizes, force.shape)
     aim = np.divide(force, size, out=np.zeros_like(force), where=size > 0)
     S, ends = shapes[0], aim[:, [0, -1]]
-    if (S.exact and S.sharp_gaps) or len(shapes) > 1:
+    if projects_at_once(S) or len(shapes) > 1:
         return _each(shapes, _projections, aim)
     # projections one by one take most of the time, and chords lose little; where the force is in S
     # the curve is the force itself
@@ -541,6 +541,12 @@ def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Arra
     if inside.any():
         s[inside, 1:-1] = _projections(S, aim[inside, 1:-1])
     return s
+
+
+def projects_at_once(S: ConvexSet) -> bool:
+    """Whether S is projected on exactly, by formulas for many points, and its gaps are sharp."""
+    rows = [type(part).project_rows for part in S.factors()]
+    return S.exact and S.sharp_gaps and ConvexSet.project_rows not in rows
 
 
 def _projections(S: ConvexSet, curves: Array) -> Array:
