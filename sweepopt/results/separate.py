@@ -133,19 +133,20 @@ def _data(part: MovingSet, begin: Array, end: Array) -> Array:
     times = begin[:, None] + (end - begin)[:, None] * THIRDS
     times[:, -1] = end
     for f in [moving.offsets] if moving.offsets else [moving.center, moving.summands[0][0]]:
-        values, errors, _ = interpolate(f, begin, end)
-        error = errors @ np.abs([v for _, v in f.terms] or np.zeros((errors.shape[1], f.dim)))
+        cubics = interpolate(f, begin, end)
+        sizes = np.abs([v for _, v in f.terms] or np.zeros((len(f.histories), f.dim)))
+        error = cubics.error @ sizes
         off = np.repeat(error[:, None], 10, axis=1)
         if is_smooth(part):
             curves = THIRDS_TO_BERNSTEIN @ f.at(times.ravel()).reshape(-1, 4, f.dim)
             off[:, :4] *= -70 * 2 / 27 * np.array([0, 1, 1, 0])[:, None]
         else:
-            curves = TO_BERNSTEIN @ values
+            curves = TO_BERNSTEIN @ cubics.values
             off[:, :4] *= -1
         # rounding of each row of h, of all of a vector
         size = np.abs(curves).max(axis=(0, 1) if moving.offsets else None)
         off[np.abs(off) <= 10 * ROUNDING * size] = 0.0
-        of_all.append([np.append(curves, MEANS @ values, axis=1), off])
+        of_all.append([np.append(curves, MEANS @ cubics.values, axis=1), off])
     return np.concatenate(of_all, axis=3)
 
 
