@@ -423,6 +423,21 @@ def test_a_wrong_velocity_of_the_second_run_is_not_believed():
     check_close(isotropic(C, 0.0001, 0.5), 4.0, 40, "implicit-euler", 2)
 
 
+def test_bounds_of_unbounded_images_and_sums_of_rows_that_move_are_guaranteed():
+    """Nothing cuts these sets, so that their supports have formulas."""
+    h = so.Separable([(so.Polynomial([1.0]), [1.0, 0.5]), (so.Sine(1.0, 2.5), [0.4, -0.6])])
+    rows = so.Polyhedron([[1.0, 0.3], [-0.2, 1.0]], h)
+    ball = so.Moving(so.Ball([0.0, 0.0], 0.3), so.Separable([(so.Sine(0.8, 3.0), [1.0, 0.2])]))
+    for C in (so.image([[1.0, 0.5], [-0.3, 0.8]], rows), rows + ball):
+        process = so.SweepingProcess(A=[[1.0, 0.2], [0.2, 0.6]], B=np.eye(2), C=C, u0=[2.0, 1.5])
+        runs = (("implicit-euler", 3), ("midpoint", 18))
+        sol, fine = (so.solve(process, t_end=1.0, scheme=name, steps=n) for name, n in runs)
+        bound, difference = sol.error_bound(), np.array([sol(t) - fine(t) for t in fine.t])
+        error = np.sqrt(np.einsum("ij,jk,ik->i", difference, process.A, difference)).max()
+        assert bound.guaranteed
+        assert 1e-3 < error < bound < 5 * error
+
+
 def test_a_sampled_bound_says_what_is_not_known():
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     box = SQUARE

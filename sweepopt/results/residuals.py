@@ -219,8 +219,9 @@ def unknown(C: AnySet, data: Motion, t: float) -> str:
     if isinstance(C, MovingSet) and C.operands and not data.summands:
         reason = next(filter(None, (unknown(S, motion(S), t) for S in C.moving_parts)), "")
         S, ask = C.at(t), "write it as a Moving set, or take error_bound(variation=)"
-        finite = all(T.exact or T.magnitude() < math.inf for T in S.factors())
-        if reason or not (S.certifiable and finite):
+        # of sets that are not cut supports have formulas
+        cut = [T for T in S.factors() if not T.exact and T.form().F.shape[0]]
+        if reason or not (S.certifiable and all(T.magnitude() < math.inf for T in cut)):
             return reason or f"C(t) is made of sets that move separately and is unbounded: {ask}"
         if not all(has_curves(part) for part in C.moving_parts):
             reason = (
