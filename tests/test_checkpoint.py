@@ -532,7 +532,7 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
     for path in (pipe, Path("/dev/full")):
         with refuses(r"checkpoint is .* which is no regular file"):
             so.solve(process, checkpoint=path, **settings)
-        with refuses(f"path is .*{path.name}.*, which is no regular file"):
+        with refuses("path is .*, which is no regular file"):
             so.resume(path, process)
 
 
