@@ -252,3 +252,16 @@ def test_points_beside_a_far_centre_round_as_it_does():
         exact = -float(excess) / (np.hypot(*(q - c)) + 5) / 3 * (q - c) / np.hypot(*(q - c))
         error = math.sqrt(3) * np.linalg.norm(sol.velocity[0] - exact)
         assert 0 < error <= sol.stats["certificate"][0]
+
+
+def test_a_far_centre_rounds_no_unknowns_but_its_own():
+    """A ball in units 2^20 times as small, beside another: certificates do not see the units."""
+    certificates = []
+    for unit in (1.0, 2.0**20):
+        d = [unit**2, unit**2, 1.0, 1.0]
+        C = so.product(so.Ball([2 * unit, 0], 2 * unit), so.Ball([0.3, 0.1], 1.0))
+        process = so.SweepingProcess(np.diag(d), np.diag(d), C, [-0.3 / unit, 0.2 / unit, 2, 0.5])
+        with pytest.warns(so.InitialStateWarning):
+            sol = so.solve(process, t_end=2.0, steps=5, scheme="implicit-euler")
+        certificates.append(sol.stats["certificate"])
+    assert np.array_equal(*certificates)

@@ -336,9 +336,9 @@ class Aligned(ConvexSet):
     def anchor(self) -> Array:
         return self._to(self._joined([S.anchor for S in self.parts]))
 
-    @property
-    def far(self) -> float:
-        return abs(self.factor) * max(S.far for S in self.parts)
+    @cached_property
+    def far(self) -> Array:
+        return abs(self.factor) * self._joined([S.far for S in self.parts])
 
     @property
     def shift_sizes(self) -> Array:

@@ -200,9 +200,9 @@ class Ball(Balls):
             D = self.radius / size * (D - n[:, None] * n)
         return [neighbours(D[None])]
 
-    @property
-    def far(self) -> float:
-        return float(np.abs(self.center).max())
+    @cached_property
+    def far(self) -> Array:
+        return np.full(self.dim, np.abs(self.center).max())
 
     @property
     def shift_sizes(self) -> Array:
@@ -398,9 +398,9 @@ class Ellipsoid(ConvexSet):
         self._unit = binary(semiaxes[0])
         self.offsets = np.append(center, radius * self._unit)
 
-    @property
-    def far(self) -> float:
-        return float(np.abs(self.center).max())
+    @cached_property
+    def far(self) -> Array:
+        return np.full(self.dim, np.abs(self.center).max())
 
     @property
     def shift_sizes(self) -> Array:

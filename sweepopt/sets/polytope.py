@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -137,9 +138,9 @@ class Polytope(ConvexSet):
         size = cp.Variable(1)
         return Features([size], [(self.vertices / self.offsets) @ p <= size])
 
-    @property
-    def far(self) -> float:
-        return float(np.abs(self.vertices).max())
+    @cached_property
+    def far(self) -> Array:
+        return np.full(self.dim, np.abs(self.vertices).max())
 
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.vertices, axis=1).max())
