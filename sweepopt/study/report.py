@@ -87,7 +87,7 @@ def fastest_runs(study: "Study", table: DataFrame) -> dict[str, Solution]:
         }
 
 
-MOST_COSTLY = 100.0  # of the time for half the error that is advice: beyond, the order is < 0.15
+MOST_COSTLY = 100.0  # a larger factor of the time for half the error is inf: an order below 0.15
 
 
 def halving(table: DataFrame) -> DataFrame:
@@ -107,10 +107,10 @@ def halving(table: DataFrame) -> DataFrame:
     -------
     pandas DataFrame
         A row a run, with its columns, one for each axis in `AXES` called "more steps"
-        for example: the factor of the time, inf where the error hardly falls, here or before it
+        for example: the factor of the time, inf where it is above 100, here or before the error
         is half, nan where no next run was measured; and `cheapest`, the axis of the least factor.
-        If all are above 100, it names the axes along which the fastest run with half the error
-        is further, if they are two or more, else "".
+        If all are inf, it names the axes along which the fastest run with half the error is
+        further, if they are two or more, else "".
     """
     require_columns(table, CellRow._fields)
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
@@ -123,17 +123,17 @@ def halving(table: DataFrame) -> DataFrame:
         fall = np.log(cells.error / following.error)
         # more accurate in less time is possible: times are measured
         rise = np.log(following.wall / cells.wall).clip(lower=0.0)
-        # a factor above 2^100 is none
-        factor = np.exp2((rise / fall).where(fall > rise / 100, np.inf)).where(rise.notna())
+        steep = fall > rise / np.log2(MOST_COSTLY)
+        factor = np.exp2((rise / fall).where(steep, np.inf)).where(rise.notna())
         # no run further along has half the error, and between the last two it hardly falls
         last = factor.groupby([cells[column] for column in same]).transform("last")
-        factors[words] = factor.where((least / cells.error <= 0.5) | ~(last > MOST_COSTLY), np.inf)
+        factors[words] = factor.where((least / cells.error <= 0.5) | (last != np.inf), np.inf)
     cells = known.assign(**factors)
     faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
     best = cells[cells.error < 0.9 * faster].sort_values("problem", kind="stable")
     possible = best[list(AXES)].fillna(np.inf)
     cheapest = possible.idxmin(axis="columns")
-    alone = possible.min(axis="columns") <= MOST_COSTLY
+    alone = possible.min(axis="columns") < np.inf
     cheapest[~alone] = [_axes_together(known, run) for run in best.index[~alone]]
     return best.assign(cheapest=cheapest)
 
