@@ -227,8 +227,8 @@ def tolerance(tol: Any) -> float:
 
 def instant(name: str, value: Any) -> float:
     """A finite time or value of a function: one number in any wrapping, a float at no cost."""
-    if type(value) is float and value - value == 0:
-        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return float(value)
     array = floats(name, value, "one number")
     return number(name, array.reshape(()) if array.size == 1 else array)
 

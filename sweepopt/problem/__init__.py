@@ -7,6 +7,7 @@ from sweepopt.problem.motion import (
     TimeFunction,
     histories_of,
     motion,
+    variations,
 )
 from sweepopt.problem.norms import (
     Norms,

@@ -57,14 +57,14 @@ class TimeFunction:
     dim : int
     function : callable or None
         Instead of terms.
-    variation : callable (a, b) -> float, or None
-        At least that of a function between two times.
+    variation : callable times -> ndarray, or None
+        At least that of a function between each two times.
     """
 
     terms: Terms
     dim: int
     function: Callable[[float], Any] | None = None
-    variation: Callable[[float, float], float] | None = None
+    variation: Callable[[Array], Array] | None = None
 
     @classmethod
     def of(cls, value: Any, dim: int) -> TimeFunction:
@@ -72,7 +72,7 @@ class TimeFunction:
         if value is None:
             return cls((), dim)
         if isinstance(value, VectorTable) and dim > 1:
-            return cls((), dim, value, value.variation)
+            return cls((), dim, value, partial(variations, value))
         if isinstance(value, (Separable, VectorTable)):
             return cls(value.terms, dim)
         if dim == 1 and hasattr(value, "variation"):
@@ -122,6 +122,11 @@ class TimeFunction:
         if not self.terms:
             return np.zeros((len(times), self.dim))
         return Separable(self.terms).at_many(times)
+
+
+def variations(history: Any, times: Array) -> Array:
+    """Of a history, between each two times."""
+    return np.array([history.variation(*ends) for ends in pairwise(times.tolist())])
 
 
 ONE = TimeFunction.of(Constant(), 1)

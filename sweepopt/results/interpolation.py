@@ -8,9 +8,9 @@ variation, where that is known.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError, shown
 from sweepopt.loads import History, breakpoints
-from sweepopt.problem import SweepingProcess, TimeFunction, applied
+from sweepopt.problem import SweepingProcess, TimeFunction, applied, variations
 from sweepopt.sets import basis, to_bernstein
 
 GAUSS, WEIGHTS = (np.polynomial.legendre.leggauss(4) + np.array([[1], [0]])) / 2
@@ -88,14 +88,14 @@ def interpolate(f: TimeFunction, begin: Array, end: Array) -> Interpolated:
         elif f.variation is not None or hasattr(history, "variation"):
             function, variation = f, f.variation
             if variation is None:
-                function, variation = TimeFunction.of(history, 1), history.variation
+                function, variation = TimeFunction.of(history, 1), partial(variations, history)
             for i, ends in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
                 errors[i, k] = _by_variation(function, history, variation, *ends)
     return Interpolated(*(x[again] for x in (values, errors[..., 0], errors[..., 1])))
 
 
 def _by_variation(
-    f: TimeFunction, history: Any, variation: Callable[[float, float], float], a: float, b: float
+    f: TimeFunction, history: Any, variation: Callable[[Array], Array], a: float, b: float
 ) -> tuple[float, float]:
     """Both errors of a function of which only the variation is known, from samples on parts.
 
@@ -104,7 +104,7 @@ def _by_variation(
     times, values = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES, f.at(a + (b - a) * GAUSS)
     e = np.linalg.norm(f.at(times) - GAUSS_TO_PARTS @ values, axis=1)
     slopes = 3 * np.linalg.norm(np.diff(TO_BERNSTEIN @ values, axis=0), axis=1)
-    varies = np.array([variation(*ends) for ends in itertools.pairwise(times.tolist())])
+    varies = variation(times)
     if varies.min() < -1e-9 * np.abs(values).max():  # less is what V(b) - V(a) rounds
         raise InputError(
             f"variation(a, b) of {shown(history)} must not be negative, but it is between t = "

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -302,10 +303,7 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
     if not (only and all(r.constant and S.magnitude() < math.inf for r, S in moving.summands)):
         return Motion((), center)
     value = center.function or (lambda t: center.at(np.array([t]))[0])
-
-    def between(a: float, b: float) -> float:
-        return float(increments(variation, np.array([a, b]))[0])
-
+    between = partial(increments, variation)
     return replace(moving, center=TimeFunction((), center.dim, value, between))
 
 
