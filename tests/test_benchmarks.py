@@ -15,6 +15,7 @@ import sweepopt as so
 from sweepopt.study.problems import problem
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+import bounds
 import equal_error
 import loops_by_hand
 import packages
@@ -72,6 +73,21 @@ def test_every_way_reaches_the_error(task):
     assert (table.error <= 1e-3).all()
     assert (table.note == "").all()
     assert table["x best"].min() == 1.0
+
+
+# ---- error bounds -----------------------------------------------------------------------------
+
+
+def test_a_guaranteed_bound_below_a_known_error_is_told():
+    kind = bounds.KINDS["soft"]
+    rows = [row for case in bounds.cases(kind, 1) for row in bounds.rows(case, kind.hidden)]
+    assert all(row.guaranteed and row.ratio >= 1 - row.doubt for row in rows)
+    text, wrong = bounds.line("soft", rows)
+    assert text.split()[1:3] == ["4", "4"]
+    assert kind.says in text
+    low = rows[0]._replace(ratio=0.9)
+    assert (wrong, bounds.line("soft", [*rows, low])[1]) == (False, True)
+    assert not bounds.line("soft", [*rows, low._replace(guaranteed=False)])[1]
 
 
 # ---- other packages ---------------------------------------------------------------------------

@@ -112,7 +112,7 @@ class Velocities:
         without viscosity. Both in squares, weighted by the diagonal of M. A body is one unknown, or
         those of a ball: where that slides on a curve, its unknowns change their signs in turn and
         nothing turns back. What rests in an earlier stage and starts is one of the others: counted
-        as carried too far, it made one of 699 runs 2.3 times the best of three schemes (MATH 3).
+        as carried too far, it made one of 699 runs 2.3 times the best of three schemes.
         Where step * Lam <= 2 no error comes back with the other sign.
         """
         scheme, process = self._plan.scheme, self._process

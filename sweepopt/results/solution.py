@@ -456,10 +456,9 @@ class Solution(Displayed):
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
-        Computing it takes 6 times as long as the run (median; up to 12), as it makes
-        other runs with more steps where bodies start and stop; a single one where C(t) is not
-        data. Steps that were not kept are computed again. MATH.md section 4 says how close
-        bounds are.
+        Computing it takes several times as long as the run, as it makes other runs with more steps
+        where bodies start and stop; a single one where C(t) is not data. Steps that were not kept
+        are computed again. `benchmarks/bounds.py` prints how close bounds are and what they cost.
 
         Parameters
         ----------
