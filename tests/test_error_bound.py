@@ -293,6 +293,19 @@ def test_a_sampled_bound_has_the_errors_of_the_terms_that_are_known():
         assert sol.error_bound() >= 0.06  # the error of 4,200 steps of sdirk2 is 0.061
 
 
+@pytest.mark.parametrize("periods", [1, 2, 4])
+def test_a_load_with_the_period_of_the_step_is_seen_between_nodes(periods):
+    def C(t):
+        x = 3 * np.sin(20 * np.pi * periods * t)
+        return so.Box(x - 1, x + 1)
+
+    process = isotropic(so.MovingSet(C), 0.0, 1.0)
+    sol = so.solve(process, t_end=1.0, steps=10, scheme="implicit-euler")
+    assert not sol.u.any()  # it is moved to and fro by 2
+    with pytest.warns(so.BoundWarning, match="sampled, not guaranteed"):
+        assert sol.error_bound() >= 2
+
+
 def test_a_scale_of_rows_of_one_entry_is_a_table():
     def bound(scale):
         C = so.Moving(so.Box(-1, 1), so.Sine(3.0, 4.0), scale)

@@ -372,7 +372,7 @@ def _on_intervals(
     if model.points is not None:
         w, gaps = within_separate(norms.process.C, a, b, aim, directions, model.points)
     elif not model.summands:
-        w, gaps = _sampled(norms.process, 0.5 * (a + b), force, aim, directions)
+        w, gaps = _sampled(norms.process, a, length, force, aim, directions)
     elif model.motion.offsets is None:
         w, gaps, moved = np.zeros_like(force), 2 * speed * model.distance, model.distance
         scales = [interpolate(f, a, b) for f, _ in model.summands]
@@ -562,18 +562,30 @@ def _gaps(S: ConvexSet, p: Array, s: Array, ratios: Array) -> Array:
 
 
 def _sampled(
-    process: SweepingProcess, times: Array, force: Array, aim: Array, directions: Array
+    process: SweepingProcess,
+    begin: Array,
+    length: Array,
+    force: Array,
+    aim: Array,
+    directions: Array,
 ) -> tuple[Array, Array]:
-    """w at GAUSS and the mean of G as they are for the projection in the middle; no bound.
+    """w at GAUSS and the mean of G as they are for one projection in each step; no bound.
 
-    At nodes r = G = 0, but where v is straight only at the end of its step.
+    At nodes r = G = 0, but where v is straight only at the end of its step. Golden sections make
+    the place another one in each step: whatever has a period of the step would be overlooked in the
+    middle of all of them.
     """
-    w, gaps, half = force.copy(), np.empty(len(times)), np.array([0.5])
-    middles, points = basis(2, half) @ directions, basis(3, half) @ TO_BERNSTEIN
-    for i, t in enumerate(times.tolist()):
+    golden = (math.sqrt(5) - 1) / 2
+    share = 0.3 + 0.3 * (golden * np.arange(len(begin)) % 1)
+    velocities = np.einsum("ik,ikn->in", basis(2, share), directions)
+    of_basis = basis(3, share) @ TO_BERNSTEIN
+    aims, forces = (np.einsum("ik,ikn->in", of_basis, x) for x in (aim, force))
+    straight = (directions == directions[:, :1]).all(axis=(1, 2))
+    points, gaps = np.empty_like(aims), np.empty(len(begin))
+    for i, t in enumerate((begin + share * length).tolist()):
         C = process.C.at(t)
-        s, straight = C.project((points @ aim[i])[0]), not np.ptp(directions[i], axis=0).any()
-        gaps[i] = gap(C, middles[i, 0], s)
-        shape = 1 - GAUSS if straight else 2 * GAUSS * (1 - GAUSS)
-        w[i] -= 2 * shape[:, None] * (points @ force[i] - s)
-    return w, gaps
+        points[i] = C.project(aims[i])
+        gaps[i] = gap(C, velocities[i], points[i])
+    share, straight = share[:, None], straight[:, None]
+    shape = (1 - GAUSS) / (1 - share) * np.where(straight, 1.0, GAUSS / share)
+    return force - shape[:, :, None] * (forces - points)[:, None], gaps
