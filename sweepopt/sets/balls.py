@@ -200,10 +200,6 @@ class Ball(Balls):
             D = self.radius / size * (D - n[:, None] * n)
         return [neighbours(D[None])]
 
-    @cached_property
-    def far(self) -> Array:
-        return np.full(self.dim, np.abs(self.center).max())
-
     @property
     def shift_sizes(self) -> Array:
         return np.abs(self.center)
@@ -397,10 +393,6 @@ class Ellipsoid(ConvexSet):
         self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
         self._unit = binary(semiaxes[0])
         self.offsets = np.append(center, radius * self._unit)
-
-    @cached_property
-    def far(self) -> Array:
-        return np.full(self.dim, np.abs(self.center).max())
 
     @property
     def shift_sizes(self) -> Array:
