@@ -1,6 +1,7 @@
 """The velocity of A, B and u themselves, where solvers see their rounded sum and product."""
 
 import math
+from decimal import Decimal, localcontext
 from fractions import Fraction
 
 import numpy as np
@@ -265,3 +266,21 @@ def test_a_far_centre_rounds_no_unknowns_but_its_own():
             sol = so.solve(process, t_end=2.0, steps=5, scheme="implicit-euler")
         certificates.append(sol.stats["certificate"])
     assert np.array_equal(*certificates)
+
+
+def test_what_rounds_at_a_rim_may_be_on_either_side_of_it():
+    """The point of a cut disc next to q, along the normal of its circle at the rim."""
+    for angle in np.geomspace(1e-5, 1e-2, 30):
+        normal = np.array([np.cos(angle), np.sin(angle)])
+        q = normal * (1 + 1e-16 / angle**2)
+        C = so.Ball([0, 0], 1.0) & so.Box([-np.inf, -np.inf], [normal[0], np.inf])
+        process = so.SweepingProcess(np.eye(2), np.eye(2), C, q)
+        sol = so.solve(process, t_end=1e-9, steps=1, scheme="catching-up")
+        with localcontext() as context:
+            context.prec = 50
+            x, y, cut = (Decimal(float(value)) for value in (*q, normal[0]))
+            on_circle = x / (x * x + y * y).sqrt()
+            w = min(on_circle, cut)
+            exact = w - x, (1 - w * w).sqrt() - y
+            off = [Decimal(v) - z for v, z in zip(sol.velocity[0].tolist(), exact, strict=True)]
+            assert sum(a * a for a in off).sqrt() <= Decimal(sol.stats["certificate"][0])

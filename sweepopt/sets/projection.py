@@ -464,20 +464,30 @@ class Splitting:
         return Perturbation(shifts + of_w, shifts)
 
     def shifts(self, near: Projection, pull: Array, sizes: Array) -> Array | None:
-        """How far E s is from the projection of E s + p, of the pull E^T p and what it adds up."""
-        D = self.derivative_of_parts(near.image)
-        if D is None:
-            return None
-        response = self._response(D)
-        some = float(pull.any())  # 0 is normal everywhere
+        """How far E s is from the projection of E s + p, of the pull E^T p and what it adds up.
+
+        What rounds to one side of a boundary, where the derivative of a part jumps by 1, may be on
+        the other: at the rim of a cut disc it then moves 1 / angle times as far.
+        """
         s, F, scale = near.s, self.F, near.scale
+        push = ROUNDING * (np.abs(s) + scale)
+        each = [self.derivative_of_parts(near.image + x) for x in (0.0, push, -push)]
+        known = [D for D in each if D is not None]
+        if len(known) < len(each):
+            return None
+        some = float(pull.any())  # 0 is normal everywhere
         n = some * (near.image - s)
         normals, forces = self.normals(pull, n)
-        off = response @ np.concatenate([normals - n, -F @ s])
+        left = np.concatenate([normals - n, -F @ s])
         rounding = [sizes + forces + some * scale, np.abs(F) @ (np.abs(s) + scale)]
-        # what is known adds up, what is rounding adds up as the root of squares
-        rounded = response * (ROUNDING / 4 * np.concatenate(rounding))
-        return np.asarray(np.abs(off) + np.sqrt((rounded**2).sum(axis=1)))
+        rounded, shifts = ROUNDING / 4 * np.concatenate(rounding), np.zeros(len(self.E))
+        for D in known:
+            if D is known[0] or np.abs(D - known[0]).max() > 0.5:
+                response = self._response(D)
+                # what is known adds up, what is rounding adds up as the root of squares
+                shift = np.abs(response @ left) + np.sqrt(((response * rounded) ** 2).sum(axis=1))
+                shifts = np.maximum(shifts, shift)
+        return shifts
 
     def derivative(self, near: Projection) -> Array | None:
         """dw/dv."""
