@@ -268,19 +268,26 @@ def test_a_far_centre_rounds_no_unknowns_but_its_own():
     assert np.array_equal(*certificates)
 
 
-def test_what_rounds_at_a_rim_may_be_on_either_side_of_it():
-    """The point of a cut disc next to q, along the normal of its circle at the rim."""
+@pytest.mark.parametrize("through_0", [False, True])
+def test_what_rounds_at_a_rim_may_be_on_either_side_of_it(through_0):
+    """The point of a cut disc next to q, along the normal of its circle at the rim.
+
+    Where the circle and the cut go through 0, the cut rounds nothing and the circle does.
+    """
     for angle in np.geomspace(1e-5, 1e-2, 30):
         normal = np.array([np.cos(angle), np.sin(angle)])
-        q = normal * (1 + 1e-16 / angle**2)
-        C = so.Ball([0, 0], 1.0) & so.Box([-np.inf, -np.inf], [normal[0], np.inf])
+        center, rim, away = -normal, 0 * normal, 0.2
+        if not through_0:
+            center, rim, away = 0 * normal, normal, 1e-16 / angle**2
+        q = rim + normal * away
+        C = so.Ball(center, 1.0) & so.Box([-np.inf, -np.inf], [rim[0], np.inf])
         process = so.SweepingProcess(np.eye(2), np.eye(2), C, q)
         sol = so.solve(process, t_end=1e-9, steps=1, scheme="catching-up")
         with localcontext() as context:
             context.prec = 50
-            x, y, cut = (Decimal(float(value)) for value in (*q, normal[0]))
-            on_circle = x / (x * x + y * y).sqrt()
+            x, y, a, b, cut = (Decimal(float(value)) for value in (*q, *center, rim[0]))
+            on_circle = a + (x - a) / ((x - a) ** 2 + (y - b) ** 2).sqrt()
             w = min(on_circle, cut)
-            exact = w - x, (1 - w * w).sqrt() - y
+            exact = w - x, b + (1 - (w - a) ** 2).sqrt() - y
             off = [Decimal(v) - z for v, z in zip(sol.velocity[0].tolist(), exact, strict=True)]
             assert sum(a * a for a in off).sqrt() <= Decimal(sol.stats["certificate"][0])

@@ -142,8 +142,11 @@ class Aligned(ConvexSet):
         y = self._joined([S.project(x) for S, x in self._split(x)])
         return w if np.array_equal(x, y) else self._to(y)
 
-    def is_inside(self, w: Array) -> bool:
-        return not self._few and all(S.is_inside(x) for S, x in self._split(self._back(w)))
+    def is_inside(self, w: Array, distance: float) -> bool:
+        if self._few:
+            return super().is_inside(w, distance)
+        r, _ = self._scale
+        return all(S.is_inside(x, distance / r) for S, x in self._split(self._back(w)))
 
     def project_quickly(self, w: Array) -> Array | None:
         each: list[Any] = [S.project_quickly(x) for S, x in self._split(self._back(w))]

@@ -15,7 +15,6 @@ from sweepopt.checks import HUGE, Array, dimension, entries, number, symmetric
 from sweepopt.errors import InputError
 from sweepopt.linalg import Precise, dense, row_lengths
 from sweepopt.sets.base import (
-    INSIDE,
     RANK,
     ROUNDING,
     TINY,
@@ -128,11 +127,9 @@ class Balls(ConvexSet):
         D = share * (np.eye(self.block)[:, :, None] - n[:, None] * n)
         return [neighbours(D.transpose(2, 0, 1))]
 
-    def is_inside(self, w: Array) -> bool:
+    def is_inside(self, w: Array, distance: float) -> bool:
         short = self.radii - row_lengths(self._arms(w))
-        if (short <= 0).any():  # at once, as it is asked at each projection
-            return False
-        return bool((short > INSIDE * (np.abs(w).max() + self.radii)).all())
+        return bool((short >= distance + ROUNDING * (np.abs(w).max() + self.radii)).all())
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
 TINY = np.finfo(float).tiny  # 0 / TINY = 0
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a sum of a few products: less is nothing
-INSIDE = 1e-6  # of the size of C from its boundary: rounding moves no point so far
 RANK = 1e-13  # singular values that are no more than this share of the largest are rounding
 
 
@@ -664,9 +663,9 @@ class ConvexSet(Operators, ABC):
         """Whether it is known without a projection that w is further from C than that."""
         return False
 
-    def is_inside(self, w: Array) -> bool:
-        """Whether it is known that w is in C, by INSIDE or without any rounding: it stays."""
-        return False
+    def is_inside(self, w: Array, distance: float) -> bool:
+        """Whether it is known that all points within this distance of w are in C."""
+        return not (distance or self.normal(w).any())
 
     def contains(self, w: Array, tol: float = 1e-9) -> bool:
         """Whether the Euclidean distance of w to C is at most tol."""

@@ -476,9 +476,10 @@ class Intersection(Lifted):
         # in a ball cut by a box take 4 times as long, bounds of them 2 to 6 times
         if all(C.exact for C in self.operands):
             for part in self.operands:
-                w = part.project(v)
-                if all(other.is_inside(w) for other in self.operands if other is not part):
-                    return NormalPair(part.normal(v), w, 0.0, _rounded(v, part.offsets))
+                w, off = part.project(v), _rounded(v, part.offsets)
+                distance = 0.0 if np.array_equal(w, v) else float(off.w[0])
+                if all(C.is_inside(w, distance) for C in self.operands if C is not part):
+                    return NormalPair(part.normal(v), w, 0.0, off)
         return None
 
     def is_beyond(self, w: Array, distance: float) -> bool:
@@ -498,7 +499,7 @@ class Intersection(Lifted):
         for k in range(REFLECTIONS if all(C.exact for C in self.operands) else 0):
             for C in self.operands:
                 w = C.project(v)
-                if not any(D.normal(w).any() for D in self.operands if D is not C):
+                if all(D.is_inside(w, 0.0) for D in self.operands if D is not C):
                     return
                 v = (2 if k else 1) * (w - v) + v
         super()._require_point(where)

@@ -18,7 +18,6 @@ from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import UNIT, dense, product_error, row_lengths
 from sweepopt.sets.base import (
     DENSE,
-    INSIDE,
     ROUNDING,
     ConvexSet,
     Features,
@@ -339,9 +338,9 @@ class Polyhedron(ConvexSet):
         violation = self.rows @ w - self.offsets - self._rounding(w)
         return bool((violation / self._lengths > distance).any())
 
-    def is_inside(self, w: Array) -> bool:
-        margin = INSIDE * (np.abs(self.offsets) + self._lengths * np.abs(w).max())
-        return bool((self.offsets - self.rows @ w > margin).all())
+    def is_inside(self, w: Array, distance: float) -> bool:
+        slack = self.offsets - self.rows @ w - self._rounding(w)
+        return bool((slack / self._lengths >= distance).all())
 
     def derivative(self, v: Array) -> Array | None:
         normal = self._exact_normal(v)

@@ -54,6 +54,7 @@ TENSION_EXACT = 1e6
 # Of points 1e-6 to 0.1 inside the boundary of a polytope + a box 1 of 100 projections was moved, by
 # more than 50 times the rounding of s: faces that meet there are nearly parallel
 HIDDEN = 100 * ROUNDING
+INSIDE = 1e-6  # of the size of a part from its boundary: rounding moves no point so far
 TENSE = 2.0**-12  # of L^-1: normals 2^24 times as large as points, and more than TENSION_EXACT
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 
@@ -285,8 +286,9 @@ class Splitting:
         """The size of what projections round, entry by entry; 0 of parts that do not bind."""
         x, scale = x / self.units, np.zeros(x.size)
         for part, at, size in self._rounded:
-            if not part.is_inside(x[at]):
-                scale[at] = self.units[at] * max(np.abs(x[at]).max(), size)
+            size = max(float(np.abs(x[at]).max()), size)
+            if not part.is_inside(x[at], INSIDE * size):
+                scale[at] = self.units[at] * size
         return scale
 
     def derivative_of_parts(self, x: Array) -> Array | None:
@@ -469,8 +471,11 @@ class Splitting:
         What rounds to one side of a boundary, where the derivative of a part jumps by 1, may be on
         the other: at the rim of a cut disc it then moves 1 / angle times as far.
         """
+        if not self.smooth:
+            return None
         s, F, scale = near.s, self.F, near.scale
-        push = ROUNDING * (np.abs(s) + scale)
+        # of image = 2 s - x, what rounds in one part moves others by K
+        push = 2 * ROUNDING * (np.abs(self._K) + np.eye(s.size)) @ (np.abs(s) + scale)
         each = [self.derivative_of_parts(near.image + x) for x in (0.0, push, -push)]
         known = [D for D in each if D is not None]
         if len(known) < len(each):

@@ -93,8 +93,8 @@ class Box(ConvexSet):
     def project_rows(self, rows: Array) -> Array:
         return np.minimum(np.maximum(rows, self.lower), self.upper)
 
-    def is_inside(self, w: Array) -> bool:
-        return bool(((w >= self.lower) & (w <= self.upper)).all())
+    def is_inside(self, w: Array, distance: float) -> bool:
+        return bool(((w - self.lower >= distance) & (self.upper - w >= distance)).all())
 
     def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
         # entry by entry: what cancels cancels to 0.0
