@@ -339,10 +339,6 @@ class Aligned(ConvexSet):
     def anchor(self) -> Array:
         return self._to(self._joined([S.anchor for S in self.parts]))
 
-    @cached_property
-    def far(self) -> Array:
-        return abs(self.factor) * self._joined([S.far for S in self.parts])
-
     @property
     def shift_sizes(self) -> Array:
         sizes = abs(self.factor) * self._joined([S.shift_sizes for S in self.parts])

@@ -139,7 +139,7 @@ class Polytope(ConvexSet):
         return Features([size], [(self.vertices / self.offsets) @ p <= size])
 
     @cached_property
-    def far(self) -> Array:
+    def shift_sizes(self) -> Array:
         return np.full(self.dim, np.abs(self.vertices).max())
 
     def magnitude(self) -> float:

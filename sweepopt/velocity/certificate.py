@@ -201,7 +201,7 @@ class Inclusion:
         z = 0.0 - outside / M.diagonal
         force = euclidean(of.force / M.root)
         size, rounding = max(math.sqrt(-z.dot(outside)), force), self.rounding(of, z, force)
-        rounding += ROUNDING * euclidean(of.S.far / M.root[of.unknowns]) / M.stretch
+        rounding += ROUNDING * euclidean(of.S.shift_sizes / M.root[of.unknowns]) / M.stretch
         return rated(z, rounding, size, CLOSED_FORM) if rounding <= SHARE * tol * size else None
 
     # ---- rounding ------------------------------------------------------------------------------
