@@ -11,14 +11,14 @@ Contr. 67, 2022).
 
 The library's own is the last of the cascade, for ill-conditioned bodies. With M = L L^T and
 w = q + L x it seeks the shortest x with  G L x <= h - G q,  z = L^-T x: the condition of L is the
-square root of that of M. Balls are met by half-spaces that touch them.
+square root of that of M. Curved sets are projected on in that metric as composed ones are.
 """
 
 import contextlib
+import copy
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
-from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -29,14 +29,12 @@ from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import (
     HULL,
     ROUNDING,
-    Aligned,
-    Balls,
     ConvexSet,
+    InMetric,
     NoHalfspacesError,
     Polytope,
     binary,
     least_distance,
-    placed,
     shape_of,
 )
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
@@ -115,7 +113,7 @@ def has_daqp() -> bool:
 
 @dataclass(frozen=True)
 class ActiveSet(Small):
-    """The library's own active-set method, for small sets whose rows are known, and for balls.
+    """The library's own active-set method, for small sets whose rows are known, and curved ones.
 
     Parameters
     ----------
@@ -137,133 +135,51 @@ class ActiveSet(Small):
     name = "active-set"
 
     def treats(self, C: ConvexSet) -> bool:
-        """Whether C is small and its rows are known; those of a polytope wait until they count."""
+        """Whether C is small, and its rows are known or its projection has a derivative.
+
+        Those of a polytope wait until they count.
+        """
         if C.dim > self.max_dim:
             return False
+        if not C.polyhedral:
+            return C.exact and C.differentiable
         if isinstance(shape_of(C), Polytope):
             return C.dim <= HULL
-        return _touching(C, np.zeros(C.dim)) is not None
+        with contextlib.suppress(NoHalfspacesError):
+            return bool(C.halfspaces())
+        return False
 
     def compile(self, program: VelocityProgram) -> Solve:
-        """Factorise M once; a call starts from no active rows.
-
-        Balls are met by sequential quadratic programming: at a point w_k of C half-spaces touch
-        them, and their multipliers y bend the objective along the spheres:
-
-            min |w - q|^2_{M^-1} + |w - w_k|^2_K,    K = (y / r) (1 - n n^T) for each ball,
-
-        whose metric is that of L R^-T, R R^T = 1 + L^T K L. Where multipliers fall their bend falls
-        by no more than 4 a step: without it some steps go round in circles.
-        """
+        """Factorise M once; a call starts from no active rows."""
         M = program.M
         lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
         def solve(q: Array, C: ConvexSet) -> Answer:
-            z, w, corrected, bend = np.zeros_like(q), q, q, np.zeros(1)
+            z, corrected = np.zeros_like(q), q
             # C has points and M is positive definite: where that is not seen it is rounding, and
-            # numbers that are not finite are ValueErrors
-            with contextlib.suppress(EmptySetError, ValueError):
-                # discs on needles take 3; in units up to 2^40 apart rounding keeps w moving
-                for k in range(50):
-                    rows = _touching(C, w)
-                    if rows is None:  # a polytope that is flat to rounding
-                        return Answer(z, status="failed: no rows")
-                    L = lower()
-                    shortest = _shortest(L, rows, bend + 0 * rows.h, corrected)
+            # numbers that are not finite are ValueErrors; a polytope may be flat to rounding
+            with contextlib.suppress(EmptySetError, NoHalfspacesError, ValueError):
+                if not C.polyhedral:
+                    return Answer(InMetric(copy.copy(C), dense(M.M))(q, False).z, status="solved")
+                (G, h), L = C.halfspaces().inequalities(), lower()
+                # three refinements of what L rounds: without them polyhedra beside jumps of 1e8 are
+                # not met
+                for k in range(4):
+                    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(corrected))
+                    shortest = least_distance(G @ L, h - G @ corrected, rounding)
                     if shortest is None:
                         break
-                    x, z, active = shortest
-                    w = corrected + L @ x
-                    rounded = M.rounding(z, euclidean(q / M.root))
-                    curved = rows.curvature @ rows.blocks
-                    stays = (np.abs(w - rows.point) * curved <= ROUNDING).all()
-                    # three refinements of what L rounds: without them polyhedra beside jumps of
-                    # 1e8 are not met
-                    if stays and (k >= 3 or rounded <= NEGLIGIBLE * euclidean(x)):
-                        if not program.proved and not curved.any():
-                            y = np.linalg.lstsq(rows.G[active].T, z)[0]
-                            z = np.minimum(y, 0.0) @ rows.G[active]  # rounding is in the cone too
+                    x, active = shortest
+                    z = scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
+                    if k == 3 or M.rounding(z, euclidean(q / M.root)) <= NEGLIGIBLE * euclidean(x):
+                        if not program.proved:
+                            y = np.linalg.lstsq(G[active].T, z)[0]
+                            z = np.minimum(y, 0.0) @ G[active]  # rounding is in the cone too
+                            w = corrected + L @ x
                             return Answer(z, iterations=1, status="solved", w=w, normal=True)
                         break
                     # what L L^T misses of M goes to the linear term
                     corrected = M.precisely(z, q, -(L @ (L.T @ z)))
-                    bend = np.maximum(-(rows.G @ z) * rows.curvature, bend / 4)
             return Answer(z, iterations=1, status="solved")
 
         return solve
-
-
-class Touching(NamedTuple):
-    """Half-spaces G w <= h that touch a set at a point of it.
-
-    Attributes
-    ----------
-    curvature : ndarray, shape (m,)
-        1 / r where a row touches a ball, 0 of faces.
-    blocks : ndarray, shape (m, dim)
-        1 at the unknowns of the ball, 0 of faces.
-    point : ndarray, shape (dim,)
-        Any where there are faces.
-    """
-
-    G: Array
-    h: Array
-    curvature: Array
-    blocks: Array
-    point: Array
-
-
-def _shortest(L: Array, rows: Touching, bend: Array, q: Array) -> tuple[Array, Array, Array] | None:
-    """The solution of the bent program of `ActiveSet.compile`: x with w = q + L x, z, active rows.
-
-    None where rounding keeps the method from an answer.
-    """
-    G, h, curvature, blocks, point = rows
-    one, metric, bent, R = np.eye(q.size), L, np.zeros_like(q), None
-    if bend.any():
-        tangent = one - G.T @ ((curvature > 0)[:, None] * G)
-        root = np.sqrt(bend @ blocks)[:, None] * tangent  # K = root^T root
-        R = scipy.linalg.qr(np.vstack([one, root @ L]), mode="r")[0][: q.size].T
-        metric = scipy.linalg.solve_triangular(R, L.T, lower=True).T
-        bent = (root @ metric).T @ (root @ (point - q))
-    center = q + metric @ bent
-    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(center))
-    shortest = least_distance(G @ metric, h - G @ center, rounding)
-    if shortest is None:
-        return None
-    x = bent + shortest.u
-    if R is not None:
-        x = scipy.linalg.solve_triangular(R, x, lower=True, trans=1)
-    return x, scipy.linalg.solve_triangular(L, x, lower=True, trans=1), shortest.active
-
-
-def _touching(C: ConvexSet, w: Array) -> Touching | None:
-    """Those at the point next to w; None if not all rows are known."""
-    if isinstance(C, Balls) and C.block > 1 and C.radii.all():
-        arms = (w - C.center).reshape(-1, C.block)
-        sizes = np.linalg.norm(arms, axis=1)
-        normals = arms / np.where(sizes > 0, sizes, 1.0)[:, None]
-        G, blocks = (scipy.linalg.block_diag(*x) for x in (normals, np.ones_like(normals)))
-        point = C.center + (normals * np.minimum(sizes, C.radii)[:, None]).ravel()
-        return Touching(G, C.radii + G @ (C.center + 0 * w), 1 / C.radii, blocks, point)
-    if isinstance(C, Aligned) and C.unknowns is None and not C.polyhedral:
-        v, r = 0 * w if C.v is None else C.v, C.factor
-        each = [_touching(S, (w - v)[at] / r) for S, at in placed(C.parts)]
-        if any(one is None for one in each):
-            return None
-        Gs, hs, curvatures, blocks, points = zip(*each, strict=True)
-        G = np.sign(r) * scipy.linalg.block_diag(*Gs)
-        return Touching(
-            G,
-            abs(r) * np.concatenate(hs) + G @ v,
-            np.concatenate(curvatures) / abs(r),
-            scipy.linalg.block_diag(*blocks),
-            v + r * np.concatenate(points),
-        )
-    if not C.polyhedral:
-        return None
-    try:
-        G, h = C.halfspaces().inequalities()
-    except NoHalfspacesError:
-        return None
-    return Touching(G, h, 0 * h, 0 * G, w)
