@@ -291,3 +291,14 @@ def test_what_rounds_at_a_rim_may_be_on_either_side_of_it(through_0):
             exact = w - x, b + (1 - (w - a) ** 2).sqrt() - y
             off = [Decimal(v) - z for v, z in zip(sol.velocity[0].tolist(), exact, strict=True)]
             assert sum(a * a for a in off).sqrt() <= Decimal(sol.stats["certificate"][0])
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_a_body_relaxes_to_rest_in_a_disc_of_space():
+    """A projection starts from the normals before, those of opposite rows too: these cancel."""
+    rng = np.random.default_rng(3)
+    b, u0, row = rng.normal(size=(3, 3))
+    C = so.Ball(np.zeros(3), 50.0) & so.Polyhedron([row, -row], [0.0, 0.0])
+    process = so.SweepingProcess(np.diag([1.0, 2.0, 3.0]), np.outer(b, b), C, u0)
+    run = {"scheme": "sdirk2", "on_unstable": "ignore"}
+    assert so.solve(process, t_end=40.0, steps=40, **run).success
