@@ -108,8 +108,19 @@ def test_a_rectifier_with_an_ideal_diode_follows_its_source_and_then_decays():
     decay = np.sin(off) * np.exp(-(sol.t - off) / (R * c))
     assert voltage == pytest.approx(np.where(sol.t < off, np.sin(sol.t), decay), abs=1e-3)
     assert sol.velocity[:, 0].min() >= 0
-    with refuses("both are singular; compare"):
+    with refuses("both are singular to rounding; compare"):
         sol.error_bound()
+
+
+def test_the_bound_of_an_A_that_is_singular_to_rounding_is_that_of_a_singular_one():
+    C = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable([(so.Sine(3.0, 3.0), [1.0, 0.0])]))
+    bounds = []
+    for more in (0.0, 20 * np.finfo(float).eps):
+        process = so.SweepingProcess([[1.0, 1.0], [1.0, 1.0 + more]], np.eye(2), C, [0.0, 0.0])
+        assert process.coercive == (more > 0)
+        bounds.append(so.solve(process, t_end=3.0, steps=10).error_bound())
+    assert bounds[1].guaranteed
+    assert bounds[1] == pytest.approx(bounds[0], rel=1e-2)
 
 
 def test_a_common_kernel_is_refused_and_a_little_elasticity_tends_to_the_play():

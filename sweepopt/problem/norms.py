@@ -72,7 +72,8 @@ class Norms:
     ----------
     process : SweepingProcess
     weak : bool
-        Whether A is singular, so that B takes its place; B must then be positive definite.
+        Whether A is singular, or is not proved to be definite, as rounding hides whether it is:
+        then B takes its place, and must be positive definite.
     A, B : Norm
     coercivity : float
         beta of A, 0 where A is singular: with tau = beta, w = P_C(A v' + B v - tau v') makes
@@ -84,7 +85,8 @@ class Norms:
 
     def __init__(self, process: SweepingProcess) -> None:
         self.process = process
-        B, self.weak = process.B, not process.coercive
+        # Lam is inf, and beta 0, where A is singular
+        B, self.weak = process.B, process.beta == 0 or process.Lam == math.inf
         factor = process.metric if process.metric.M is B else None
         if B is not None and factor is None:
             with suppress(InputError):  # of a singular one
@@ -92,8 +94,8 @@ class Norms:
         metric = factor if self.weak else process.metric
         if metric is None:
             raise InputError(
-                "error bounds need A or B to be positive definite, here both are singular; compare "
-                "with a run of twice the steps"
+                "error bounds need A or B to be positive definite, here both are singular to "
+                "rounding; compare with a run of twice the steps"
             )
         self.A, self.B = Norm(metric.M, metric), Norm(B, factor)
         self.coercivity = process.beta
