@@ -252,6 +252,11 @@ class Lifted(ConvexSet):
         p = self.polar_cone.project(p) if beside else 0 * p
         return NormalPair(p, w, 0.0, _rounded(v))
 
+    def _point_of_one(self, v: Array) -> Array | None:
+        """The point next to v of one set, if it is in the others as they round."""
+        pair = self._pair_of_one(v)
+        return pair and pair.w
+
     def _pair(self, v: Array) -> NormalPair | None:
         """The projection of v and its normal, exact to rounding; None if they are not found.
 
@@ -286,7 +291,7 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: Array) -> Array:
-        return self.project_rows(w[None])[0]
+        return self._nearest(w).w if self._blocks is None else self._blocks.project(w)
 
     def project_rows(self, rows: Array) -> Array:
         """Rows are points of curves: each projection starts from the one before."""
@@ -294,20 +299,20 @@ class Lifted(ConvexSet):
             return self._blocks.project_rows(rows)
         start, points = None, []
         for v in rows:
-            pair = self._pair_of_one(v)
-            if pair is None and self.certifiable:
+            point = self._point_of_one(v)
+            if point is None and self.certifiable:
                 near = self.near(v) if start is None else self._projection(v, start)
-                start = near.start if near.exact else None
-                points.append(near.w if near.exact else self._nearest(v).w)
-            else:
-                points.append((pair or self._nearest(v)).w)
+                start, point = (near.start, near.w) if near.exact else (None, None)
+            points.append(self._nearest(v).w if point is None else point)
         return np.array(points)
 
     def project_quickly(self, w: Array) -> Array | None:
         if self._blocks is not None:
             return self._blocks.project_quickly(w)
-        if not self._cut or self._pair_of_one(w) is not None:
+        if not self._cut:
             return self.project(w)
+        if (point := self._point_of_one(w)) is not None:
+            return point
         near = self._projector(w.copy(), patient=False)
         return near.w if near.exact else None
 
@@ -480,6 +485,13 @@ class Intersection(Lifted):
                 distance = 0.0 if np.array_equal(w, v) else float(off.w[0])
                 if all(C.is_inside(w, distance) for C in self.operands if C is not part):
                     return NormalPair(part.normal(v), w, 0.0, off)
+        return None
+
+    def _point_of_one(self, v: Array) -> Array | None:
+        for part in self.operands if all(C.exact for C in self.operands) else ():
+            w = part.project(v)
+            if not any(C.normal(w).any() for C in self.operands if C is not part):
+                return w
         return None
 
     def is_beyond(self, w: Array, distance: float) -> bool:
