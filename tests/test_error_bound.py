@@ -701,7 +701,7 @@ def test_points_of_programs_are_in_a_set_that_jumps_at_their_node():
     C = so.Moving(CUT, jump)
     process = isotropic(C, 1.0, 1.0)
     plan = replace(so.solve(process, steps=t, scheme="implicit-euler").plan, proved=False)
-    points = companion(process, plan, Velocities(process, plan), t, True)[2]
+    points = companion(process, plan, Velocities(process, plan), t)[2]
     assert all(C.at(time).contains(w) for time, w in zip(t[1:], points, strict=True))
 
 

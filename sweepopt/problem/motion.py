@@ -163,6 +163,11 @@ class Motion:
         return len(known) == len(chosen) and len(set(np.concatenate(known))) == sum(map(len, known))
 
     @property
+    def scales_known(self) -> bool:
+        """Whether no scale is a function of time of which nothing is known."""
+        return all(scale.function is None for scale, _ in self.summands)
+
+    @property
     def histories(self) -> list[Any]:
         """The functions of time in them."""
         functions = (self.center, *(r for r, _ in self.summands), self.offsets)

@@ -92,7 +92,7 @@ class Norms:
             with suppress(InputError):  # of a singular one
                 factor = Factor(B, "B")
         metric = factor if self.weak else process.metric
-        if metric is None:
+        if metric is None or metric.smallest_eigenvalue == 0:
             raise InputError(
                 "error bounds need A or B to be positive definite, here both are singular to "
                 "rounding; compare with a run of twice the steps"

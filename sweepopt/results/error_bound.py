@@ -44,7 +44,7 @@ w and G of sets that operations make of sets with data of their own are in `sepa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -169,37 +169,38 @@ def error_bound(
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > STIFF
     scheme = SCHEMES["implicit-euler" if stiff else "trapezoid"]
-    kind, curves, by_points = _methods(process, plan, run.t[0], variation is not None, stiff)
-    separate = kind > 1
-    programs = WORK[kind] * len(plan.scheme.b)
-    parts = WORK[kind] if separate and len(plan.scheme.b) == 1 else 1 if stiff else 2
-    of_scheme = plan.scheme == scheme and not by_points
+    data, t0, stages = motion(process.C), float(run.t[0]), len(plan.scheme.b)
+    reason = "" if variation else unknown(process.C, data, t0)
+    separate = not (data.summands or reason or variation)
+    curves = _curves(process, plan, t0, stiff, not (reason or separate))
+    work = _work(process, plan, separate)
+    parts = work if separate and stages == 1 else 1 if stiff else 2
+    # points of programs, which one set without an exact projection needs, the run has not kept
+    exact = [S.exact for _, S in data.summands]
+    of_scheme = exact not in ([], [False]) and plan.scheme == scheme
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
-    if norms.A.beta == 0:
-        return ErrorBound.make("B, to rounding, may be singular", run.t, A, B, 0.0)
     layer = run.t[:0] if plan.cones else _start_layer(process, norms.Lam, run.t)
     t = np.union1d(_first_grid(process, run.t, parts), layer)
     ends = norms.A(run.u)
-    largest, lower = _largest_state(norms, float(run.t[0]), float(run.t[-1])), 0.0
+    largest, lower = _largest_state(norms, t0, float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
         made = of_scheme and len(t) == len(run.t)  # the first pass is the run
         nodes, slopes, members = run, np.append(run.velocity[:1], run.velocity, axis=0), None
         if not made:
-            nodes, slopes, members = companion(process, plan, velocities, t, by_points)
+            nodes, slopes, members = companion(process, plan, velocities, t)
         moving = _moving(nodes, separate)
         if not passes:  # what the run took for rest may move
-            left = programs * max(_moving(run, separate), -(-(moving - len(layer)) // parts))
+            left = work * stages * max(_moving(run, separate), -(-(moving - len(layer)) // parts))
             left += made * moving
         left -= moving
         velocity = slopes_of_curves(nodes, slopes, curves)
         each, reason = residuals(norms, nodes, velocity, variation, slopes[1:], members)
         growth = _growth(norms, t, each)
-        states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = velocity[growth.curve, np.arange(len(t) - 1)]
-        nodal, distance, distance_B = _distances(norms, nodes, v, states)
+        nodal, distance, distance_B = _distances(norms, nodes, v, run)
         rounding = SUM_ROUNDING * math.sqrt(len(t)) * (ends.max() + nodal.max())
         first = np.searchsorted(t, run.t[:-1])
         A = np.fmin(A, np.maximum.reduceat(distance + growth.A, first) + rounding)
@@ -229,8 +230,7 @@ def require_bound(process: SweepingProcess, plan: Plan) -> None:
     """
     process.refuse_state("error_bound")
     moving = motion(process.C)
-    is_data = all(scale.function is None for scale, _ in moving.summands)
-    if plan.cones and not (moving.summands and is_data and moving.disjoint):
+    if plan.cones and not (moving.summands and moving.scales_known and moving.disjoint):
         raise PathError(
             "error_bound needs projections that take seconds each for path='cones', where C(t) is "
             "a function, or a sum on the same unknowns: give it as data, such as so.Separable, "
@@ -238,31 +238,27 @@ def require_bound(process: SweepingProcess, plan: Plan) -> None:
         )
 
 
-def _methods(
-    process: SweepingProcess, plan: Plan, t: float, varies: bool, stiff: bool
-) -> tuple[int, Sequence[str], bool]:
-    """Which of WORK, which of CURVES are tried, and whether w is one of programs' points.
+def _work(process: SweepingProcess, plan: Plan, separate: bool) -> int:
+    """Which of WORK the second runs may have."""
+    moving = motion(process.C)
+    if separate:
+        return WORK[3 - moves_straight(process.C)]
+    at_once = all(projects_at_once(S) for _, S in moving.summands)
+    return WORK[not (at_once and moving.disjoint and not plan.cones and process.dim <= SMALL)]
 
-    One curve where each costs programs of its own; of unbounded sets a straight one, or all, as
-    velocities of a cubic may have no support function.
+
+def _curves(process: SweepingProcess, plan: Plan, t: float, stiff: bool, known: bool) -> Any:
+    """Which of CURVES are tried: one where each costs programs or projections of its own.
+
+    Of unbounded sets a straight one, or all, as velocities of a cubic may have no support function.
     """
-    moving, bounded = motion(process.C), process.C.at(float(t)).is_bounded
-    sets = [S for _, S in moving.summands]
-    is_data = all(scale.function is None for scale, _ in moving.summands)
-    at_once = all(map(projects_at_once, sets))
-    exact = moving.disjoint and all(S.exact for S in sets)
-    by_points = plan.reduction is None and len(sets) < 2 and is_data and not (sets and exact)
-    cheap = exact and at_once and not plan.cones and process.dim <= SMALL
-    kind, one_by_one = int(not cheap), False
-    if not varies:
-        reason = unknown(process.C, moving, float(t))
-        separate = not (sets or reason)
-        one_by_one = separate or bool(reason and not (sets and is_data and not moving.offsets))
-        kind = 3 - moves_straight(process.C) if separate else kind
+    moving, bounded = motion(process.C), process.C.at(t).is_bounded
+    one_by_one = not (known or (moving.summands and moving.scales_known and not moving.offsets))
+    at_once = all(projects_at_once(S) for _, S in moving.summands)
     slow = (process.dim > LARGE and plan.contact is not None) or plan.cones or not at_once
     if not (one_by_one or (slow and bounded)):
-        return kind, CURVES, by_points
-    return kind, ["velocities" if bounded and not stiff else "straight"], by_points
+        return CURVES
+    return ["velocities" if bounded and not stiff else "straight"]
 
 
 def _largest_state(norms: Norms, a: float, b: float) -> float:
@@ -406,12 +402,13 @@ def _variation(norms: Norms, each: Residuals, curve: Array, weak: Array) -> Arra
     return np.array([np.cumsum(turning + jumps), np.maximum.accumulate(size)])
 
 
-def _distances(norms: Norms, nodes: Nodes, slopes: Array, u: Array) -> tuple[Array, Array, Array]:
+def _distances(norms: Norms, nodes: Nodes, slopes: Array, run: Nodes) -> tuple[Array, Array, Array]:
     """|v - u_n|_A at all nodes but the first, and bounds in both norms on each step.
 
-    u_n is straight between these u. Those of the Bernstein coefficients of the cubic, whose ends
-    are at the nodes, on some steps at a time: of 5,000 unknowns all at once took twice as long.
+    Those of the Bernstein coefficients of the cubic v - u_n, on some steps at a time: of 5,000
+    unknowns all at once took twice as long.
     """
+    u = np.column_stack([np.interp(nodes.t, run.t, x) for x in run.u.T])
     many, sizes = max(CHUNK // (30 * u.shape[1]), 1), []
     for k in range(0, len(slopes), many):
         h, part = np.diff(nodes.t[k : k + many + 1])[:, None, None], u[k : k + many + 1]
@@ -431,7 +428,6 @@ def companion(
     plan: Plan,
     velocities: Velocities,
     t: Array,
-    with_points: bool,
 ) -> tuple[Nodes, Array, Array | None]:
     """Nodes of the plan's scheme on the grid t, and the velocities at them (the mean at the first).
 
@@ -456,8 +452,7 @@ def companion(
         stages = velocities.stages(scheme, time, mu, u[-1], first, (*([None] * len(first)), C))
         if len(stages) == len(scheme.b):
             mean, slope = combination(scheme.b, stages), stages[-1].z
-            if with_points:
-                members.append(stages[-1].w)
+            members.append(stages[-1].w)
         else:  # a stage has no program
             mean = slope = velocities.step(time, mu, u[-1]).velocity.z
             stages = []
@@ -467,7 +462,7 @@ def companion(
         slopes.append(slope)
     velocity, ends = plan.velocity(np.array(means)), plan.velocity(np.array(slopes))
     nodes = Nodes(times, plan.state(np.array(u)), velocity)
-    known = len(members) == len(mus) and not any(w is None for w in members)
+    known = len(members) == len(mus) and not (plan.reduction or any(w is None for w in members))
     return nodes, np.array([velocity[0], *ends]), np.array(members) if known else None
 
 

@@ -265,11 +265,14 @@ def _model(
     if variation is not None and not data.center.bounded:
         data = _with_variation(data, variation)
     reason = unknown(process.C, data, nodes.t[0])
-    is_data = all(scale.function is None for scale, _ in data.summands)
-    if data.summands and is_data and not (reason and data.offsets):
+    if data.summands and data.scales_known and not (reason and data.offsets):
         if not data.disjoint:
             points = _points_of_several(process, data, nodes, speed)
-        elif members is not None and (scale := data.summands[0][0].at(nodes.t[1:])).all():
+        elif (
+            members is not None
+            and [S.exact for _, S in data.summands] == [False]
+            and (scale := data.summands[0][0].at(nodes.t[1:])).all()
+        ):
             points = [(members - data.center.at(nodes.t[1:])) / scale]
         sharp = points is not None or all(S.sharp_gaps for _, S in data.summands)
         intervals = smooth_intervals(data.histories, nodes.t, 1 if sharp else PARTS_OF_STEP)
