@@ -291,7 +291,8 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
             # one of each cluster of breakpoints: what f changes by does not shrink with the time
             if t > last + width and change > 0.5 * np.linalg.norm(around[1] - around[0]):
                 size, last = distance(after - before), t
-                by = f"by {size:g}" if size < np.inf else "by an unknown distance"
+                most = "" if distance == metric.dual_norm else "at most "
+                by = f"by {most}{size:g}" if size < np.inf else "by an unknown distance"
                 sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
     return sorted(sentences)
 
