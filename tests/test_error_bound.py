@@ -911,6 +911,15 @@ def test_the_bound_of_a_few_steps_over_many_periods_is_that_of_the_energy(period
     assert bound.B.max() <= 2 * 4.0 / np.sqrt(2.0) * (1 + 1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:B u0 is not in C")
+def test_the_bound_of_the_energy_knows_how_far_away_u_starts():
+    # u' = 1e-3 - u, and the run is at rest after its first step
+    process = so.SweepingProcess(1.0, 1.0, so.Box(-1e-3, 1e-3), 1.0)
+    sol = so.solve(process, t_end=2.0, steps=2, scheme="catching-up")
+    assert sol.u[1] == pytest.approx(1e-3)
+    assert sol.error_bound().of_t[1] >= 0.999 * np.exp(-1.0)
+
+
 def check_bound(seed, rate_independent):
     process, times = random_process(seed, rate_independent)
     scheme = (FOR_A_ZERO if rate_independent else STEPPING)[seed % (2 if rate_independent else 5)]
