@@ -162,3 +162,15 @@ def test_sdirk32_is_of_order_two(name):
     order = slope(grids, errors)
     assert order >= 1.9
     assert errors[0] <= 1.9 * min(this.errors[scheme]["101"] for scheme in BEST_OF)
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_sdirk32_overshoots_by_what_its_stability_function_says_and_by_6_5_percent_at_most():
+    def R(z):
+        return (1 + 0.4 * z + 0.02 * z**2) / (1 - z / 5) ** 3
+
+    x = np.append(5.635, np.full(60, 1.9))  # of the first one alone: steps of implicit Euler
+    process = so.SweepingProcess(np.eye(61), np.diag(x), so.Point(np.zeros(61)), np.ones(61))
+    sol = so.solve(process, t_end=1.0, steps=1, scheme="sdirk32")
+    assert sol.u[-1] == pytest.approx(R(-x), abs=1e-14)
+    assert -0.065 <= R(-np.geomspace(1e-3, 1e6, 10_000)).min() == pytest.approx(R(-5.635))
