@@ -35,6 +35,7 @@ from sweepopt.sets import (
     Polytope,
     binary,
     least_distance,
+    product,
     shape_of,
 )
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
@@ -160,7 +161,8 @@ class ActiveSet(Small):
             # numbers that are not finite are ValueErrors; a polytope may be flat to rounding
             with contextlib.suppress(EmptySetError, NoHalfspacesError, ValueError):
                 if not C.polyhedral:
-                    return Answer(InMetric(copy.copy(C), dense(M.M))(q, False).z, status="solved")
+                    apart = copy.copy(product(*C.factors()))  # each ball has a unit of its own
+                    return Answer(InMetric(apart, dense(M.M))(q, False).z, status="solved")
                 (G, h), L = C.halfspaces().inequalities(), lower()
                 # three refinements of what L rounds: without them polyhedra beside jumps of 1e8 are
                 # not met
