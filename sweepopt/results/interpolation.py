@@ -19,10 +19,8 @@ from sweepopt.checks import Array, instant
 from sweepopt.errors import InputError, shown
 from sweepopt.loads import History, breakpoints
 from sweepopt.problem import SweepingProcess, TimeFunction, applied, variations
-from sweepopt.sets import basis, to_bernstein
+from sweepopt.sets import GAUSS, basis, to_bernstein
 
-GAUSS, WEIGHTS = (np.polynomial.legendre.leggauss(4) + np.array([[1], [0]])) / 2
-"""Points and weights on [0, 1]: exact for squares of cubics."""
 TO_BERNSTEIN = to_bernstein(GAUSS)
 
 NODAL = math.factorial(4) ** 2 / math.factorial(8)  # max of prod |x - x_g| on [0, 1]
@@ -166,21 +164,27 @@ class Nodes(NamedTuple):
     velocity: Array
 
 
-CURVES = ("straight", "velocities", "parabolas")
-"""Straight, and cubics with the velocities at the nodes or with the slopes of parabolas through
-three nodes, which have more digits where A is next to nothing. Without one of them bounds were up
-to 2.1, 2.1 and 1.9 times looser (84 stiff rows)."""
+CURVES = ("straight", "velocities", "nodes")
+"""Straight, and cubics with the velocities at the nodes or through the two nodes before and after.
+Where A is singular the bound adds up the variation of r, which is of order two along the last ones,
+as they go smoothly on from step to step, and of order one along the others."""
 
 
 def slopes_of_curves(nodes: Nodes, velocities: Array, chosen: Sequence[str]) -> Array:
-    """Bernstein coefficients of v', shape (c, n, 3, dim), of some of CURVES through the nodes."""
+    """Bernstein coefficients of v', shape (c, n, 3, dim), of some of CURVES through the nodes.
+
+    The cubic through four nodes by divided differences; at both ends a parabola through three.
+    """
     mean, h = nodes.velocity, np.diff(nodes.t)[:, None]
-    inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
-    parabolas = np.concatenate([mean[:1], inner, mean[-1:]])
+    second = np.diff(mean, axis=0) / (h[1:] + h[:-1])
+    turn = np.concatenate([second[:1], second]) if len(second) else 0 * mean
+    third = np.zeros_like(mean)
+    third[1:-1] = np.diff(second, axis=0) / (h[:-2] + h[1:-1] + h[2:])
+    before = np.concatenate([h[:1], h[:-1]])
     ends = {
         "straight": (mean, mean),
         "velocities": (velocities[:-1], velocities[1:]),
-        "parabolas": (parabolas[:-1], parabolas[1:]),
+        "nodes": (mean - h * (turn + before * third), mean + h * (turn + (h + before) * third)),
     }
     # the sum of the three is 3 mean; where both ends are the mean so is the middle, to the last bit
     return np.stack(

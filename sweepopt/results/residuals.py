@@ -38,9 +38,7 @@ from sweepopt.problem import (
     motion,
 )
 from sweepopt.results.interpolation import (
-    GAUSS,
     TO_BERNSTEIN,
-    WEIGHTS,
     Interpolated,
     Intervals,
     Nodes,
@@ -49,9 +47,12 @@ from sweepopt.results.interpolation import (
     interpolate,
     smooth_intervals,
 )
-from sweepopt.results.separate import THIRDS, gap, has_curves, within_separate
+from sweepopt.results.separate import gap, has_curves, within_separate
 from sweepopt.sets import (
+    GAUSS,
     ROUNDING,
+    THIRDS,
+    WEIGHTS,
     Aligned,
     AnySet,
     ConvexSet,
@@ -370,28 +371,25 @@ def _on_intervals(
     velocity = basis(2, theta) @ slopes
     aim = force - norms.coercivity * velocity
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
-    moved, errors = np.zeros(len(a)), np.zeros((3, len(a)))
+    errors = np.zeros((3, len(a)))
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
     if model.points is not None:
         w, gaps = within_separate(norms.process.C, a, b, aim, directions, model.points)
     elif not model.summands:
         w, gaps = _sampled(norms.process, a, length, force, aim, directions)
     elif model.motion.offsets is None:
-        w, gaps, moved = np.zeros_like(force), 2 * speed * model.distance, model.distance
+        w, gaps = np.zeros_like(force), 2 * speed * model.distance
         scales = [interpolate(f, a, b) for f, _ in model.summands]
         known = _known_curves(model, scales, begin + share * THIRDS, force, slopes)
         errors = _of_interpolation(center, center.slope_error, sizes)
         for (f, shapes), scale, s in zip(model.summands, scales, known, strict=True):
-            # a curve that is moved has no bound of int |r'|
-            s, of_w, gap, distance = _within_shape(
-                norms, f, shapes, s, scale, aim, directions, ~stiff
-            )
-            w, gaps, moved = w + of_w, gaps + gap, moved + distance
+            s, of_w, gap = _within_shape(f, shapes, s, scale, aim, directions)
+            w, gaps = w + of_w, gaps + gap
             if scale.error.any():
                 # var(s) <= sum_k |s_(k+1) - s_k| <= 6 max |s_k|
                 slope_error = scale.slope_error + 6 * scale.error
                 errors += _of_interpolation(scale, slope_error, _sizes_along(norms, f, s))
-        errors[0] += moved / math.sqrt(norms.A.beta)
+        errors[0] += model.distance / math.sqrt(norms.A.beta)
     else:
         ((_, (S,)),) = model.summands
         f = model.motion.offsets
@@ -407,7 +405,7 @@ def _on_intervals(
     size[stiff] = of_r.of_sum(MEAN) + varies[stiff] / math.sqrt(3)
     size += error_B
     varies[stiff] += turning[stiff]
-    varies[moved > 0] = np.inf
+    varies[model.distance > 0] = np.inf  # of w(t) only its distance to s(t) is known
     first, last = math.sqrt(3) * r[:, 0], math.sqrt(3) * r[:, 1]
     return Residuals(2 * length * gaps, squares, varies, size, first, last, error_B)
 
@@ -441,20 +439,17 @@ def _known_curves(
 
 
 def _within_shape(
-    norms: Norms,
     f: TimeFunction,
     shapes: list[ConvexSet],
     s: Array | None,
     scale: Interpolated,
     aim: Array,
     directions: Array,
-    may_move: Array,
-) -> tuple[Array, Array, Array, Array]:
-    """A curve s in S, scale s at GAUSS, the mean of a bound of its G, how far it is moved for that.
+) -> tuple[Array, Array, Array]:
+    """A curve s in S, scale s at GAUSS and the mean of a bound of its G.
 
     s = sum_k b_k size_k s_k / sum_k b_k size_k, size_k > 0 the coefficients of the scale, so that
-    scale s is a cubic; where they may be 0 s is constant. G is at most the largest scale times
-    sigma(S, -v') + <v', sum_k b_k s_k>.
+    scale s is a cubic; where they may be 0 s is constant.
     """
     sizes = TO_BERNSTEIN @ scale.values
     error = scale.error @ np.abs([size for _, size in f.terms])
@@ -462,13 +457,12 @@ def _within_shape(
         s = _curve_in_shape(shapes, TO_BERNSTEIN @ aim, sizes)
     least, most = sizes.min(axis=1), sizes.max(axis=1)
     vanishing = (least <= error).any(axis=1)
-    s[vanishing] = s[vanishing].mean(axis=1, keepdims=True)
-    least[vanishing] = most[vanishing]
-    most += np.divide(most * error, least, out=error, where=least > error)
-    largest = most.max(axis=1)
-    ratios = np.where(may_move, largest**2 / norms.A.beta, np.inf)
-    gaps, moved = _each(shapes, _gaps, directions * most[:, None], s, ratios).T
-    return s, basis(3, GAUSS) @ (sizes * s), gaps, largest * moved
+    larger = sizes[..., 0] * (1 + np.divide(error, least, out=0 * error, where=least > error))
+    if vanishing.any():
+        constant = _each(shapes, _projections, s.mean(axis=1, keepdims=True))
+        s[vanishing], larger[vanishing] = constant[vanishing], (most + error)[vanishing]
+    gaps = _each(shapes, _gaps, directions, s, larger)
+    return s, basis(3, GAUSS) @ (sizes * s), gaps
 
 
 def _within_rows(
@@ -533,8 +527,10 @@ def _curve_in_shape(shapes: list[ConvexSet], force: Array, sizes: Array) -> Arra
     size = np.broadcast_to(sizes, force.shape)
     aim = np.divide(force, size, out=np.zeros_like(force), where=size > 0)
     S, ends = shapes[0], aim[:, [0, -1]]
-    if projects_at_once(S) or len(shapes) > 1:
+    if len(shapes) > 1:
         return _each(shapes, _projections, aim)
+    if projects_at_once(S):
+        return S.curves_within(aim, sizes[..., 0])
     # projections one by one take most of the time, and chords lose little; where the force is in S
     # the curve is the force itself
     line = _projections(S, ends)
@@ -556,12 +552,12 @@ def _projections(S: ConvexSet, curves: Array) -> Array:
     return S.project_rows(curves.reshape(-1, S.dim)).reshape(curves.shape)
 
 
-def _gaps(S: ConvexSet, p: Array, s: Array, ratios: Array) -> Array:
-    """The mean of G along each curve in S, and how far it is moved for it, shape (m, 2)."""
+def _gaps(S: ConvexSet, p: Array, s: Array, sizes: Array) -> Array:
+    """The mean of G along each curve."""
     if S.selection is not None:
         few, S, shift = S.selection
         p, s = p[..., few], s[..., few] - (0.0 if shift is None else shift[few])
-    return np.column_stack(S.gaps_along_curves(p, s, ratios))
+    return S.gaps_along_curves(p, s, sizes)
 
 
 def _sampled(

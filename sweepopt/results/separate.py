@@ -27,10 +27,19 @@ from sweepopt.errors import EmptySetError
 from sweepopt.linalg import row_lengths
 from sweepopt.loads import Polynomial, Slope
 from sweepopt.problem import histories_of, motion
-from sweepopt.results.interpolation import GAUSS, TO_BERNSTEIN, WEIGHTS, interpolate, is_straight
-from sweepopt.sets import ROUNDING, ConvexSet, MovingSet, NoHalfspacesError, basis, to_bernstein
+from sweepopt.results.interpolation import TO_BERNSTEIN, interpolate, is_straight
+from sweepopt.sets import (
+    GAUSS,
+    ROUNDING,
+    THIRDS,
+    WEIGHTS,
+    ConvexSet,
+    MovingSet,
+    NoHalfspacesError,
+    basis,
+    to_bernstein,
+)
 
-THIRDS = np.arange(4) / 3
 THIRDS_TO_BERNSTEIN = to_bernstein(THIRDS)
 MEANS = np.concatenate([(k + 1) * (WEIGHTS[:, None] * basis(k, GAUSS)).T for k in range(3)])
 """Weights at GAUSS of the means by Bernstein polynomials of degree 0, 1 and 2."""

@@ -17,7 +17,7 @@ from sweepopt.sets.base import (
     same_array,
 )
 from sweepopt.sets.constraints import Constraints
-from sweepopt.sets.curves import basis, products, to_bernstein
+from sweepopt.sets.curves import GAUSS, THIRDS, WEIGHTS, basis, products, to_bernstein
 from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import (
     exact_multipliers,

@@ -25,7 +25,6 @@ from sweepopt.sets.balls import Ball, features_of_balls
 from sweepopt.sets.base import (
     Blocks,
     ConvexSet,
-    CurveGaps,
     Features,
     Form,
     Halfspaces,
@@ -222,15 +221,22 @@ class Aligned(ConvexSet):
         w = self._to(self._joined([pair.w for pair in pairs]))
         return NormalPair(p, w, r * sum(pair.gap for pair in pairs), off)
 
-    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
+    def gaps_along_curves(self, p: Array, w: Array, sizes: Array) -> Array:
         r, sign = self._scale
         parts = self._split(*(np.moveaxis(x, -1, 0) for x in (sign * p, self._back(w))))
-        each = [
-            S.gaps_along_curves(*(np.moveaxis(x, 0, -1) for x in curves), r * ratios)
+        gaps: Array = sum(
+            S.gaps_along_curves(*(np.moveaxis(x, 0, -1) for x in curves), r * sizes)
             for S, *curves in parts
+        )
+        return gaps
+
+    def curves_within(self, curves: Array, sizes: Array) -> Array:
+        each = self._split(np.moveaxis(self._back(curves), -1, 0))
+        blocks = [
+            np.moveaxis(S.curves_within(np.moveaxis(x, 0, -1), sizes), -1, 0) for S, x in each
         ]
-        gaps, distances = (np.array(x) for x in zip(*each, strict=True))
-        return CurveGaps(r * gaps.sum(axis=0), r * np.linalg.norm(distances, axis=0))
+        joined = self._joined(blocks, np.zeros((self.dim, *curves.shape[:2])))
+        return self._to(np.moveaxis(joined, 0, -1))
 
     def supports_along(self, p: Array, w: Array) -> Array:
         r, sign = self._scale

@@ -20,7 +20,6 @@ from sweepopt.sets.base import (
     TINY,
     Blocks,
     ConvexSet,
-    CurveGaps,
     Features,
     Form,
     Halfspaces,
@@ -29,7 +28,7 @@ from sweepopt.sets.base import (
     neighbours,
     once,
 )
-from sweepopt.sets.curves import ball_arcs, products
+from sweepopt.sets.curves import THIRDS, basis, gauss, products, to_bernstein
 from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
@@ -39,6 +38,11 @@ if TYPE_CHECKING:
 # Semiaxes of images that are projected on by their balls, which have one unit for all of them. Of
 # 2,300 random images with columns of 1e-4 to 1e4 3 were StepErrors with 1e2, 4 with 1e3, 6 with it.
 EVEN = 1e4
+
+DEGREES = np.add.outer(np.arange(4), np.arange(4))[..., None]
+SQUARE = 7 * products(3, 3)[..., None] * (np.arange(7) == DEGREES)
+"""From products of the Bernstein coefficients of a cubic to those of its square."""
+SIX, OF_SIX = gauss(6)  # exact to degree 11
 
 
 class Balls(ConvexSet):
@@ -101,20 +105,59 @@ class Balls(ConvexSet):
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], norms_below(p, sizes, self.block))
 
-    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
+    def gaps_along_curves(self, p: Array, w: Array, sizes: Array) -> Array:
+        """By 2 |p| <= |p|^2 / l + l with a straight l > 0, that of |p| at both ends.
+
+        1 / l is below the cubic through its values at 0, 1/2 (twice) and 1, which is off by x (1 -
+        x) (x - 1/2)^2 (l(1) - l(0))^4 / (l(0) l(1/2)^2 l(1) l(x)).
+        """
         shift = p @ np.broadcast_to(self.center, self.dim)  # of sums, for their rounding
-        p, arms = (
-            np.moveaxis(x.reshape(*x.shape[:2], -1, self.block), 2, 1) for x in (p, w - self.center)
-        )
-        sigma = self.radii[:, None] * row_lengths(p)
-        gaps = np.maximum(sigma[..., None] - p @ np.swapaxes(arms, 2, 3), 0.0)
-        gaps += ROUNDING * (sigma + np.abs(shift)[:, None])[..., None]
-        of_w = (products(2, w.shape[1] - 1) * gaps).sum(axis=(2, 3))
-        arcs = ball_arcs(p, arms, self.radii)
-        with np.errstate(invalid="ignore"):  # inf times 0
-            better = ratios[:, None] * arcs**2 < 2 * of_w
-        distances = np.linalg.norm(np.where(better, arcs, 0.0), axis=1)
-        return CurveGaps(np.where(better, 0.0, of_w).sum(axis=1), distances)
+        p, arms = self._curves(p), self._curves(w - self.center)
+        weights = products(2, w.shape[1] - 1) * sizes[:, None]
+        lengths = row_lengths(p)
+        convex = np.einsum("mjk,mbj->mb", weights, lengths)
+        size, squares = sizes @ basis(3, SIX).T, row_lengths(basis(2, SIX) @ p) ** 2
+        with np.errstate(all="ignore"):  # where p vanishes |p_k| are left
+            first, last = lengths[..., :1], lengths[..., 2:]
+            line = first + SIX * (last - first)
+            off = SIX * (1 - SIX) * (SIX - 0.5) ** 2 * (last - first) ** 4
+            off /= first * (0.5 * (first + last)) ** 2 * last
+            sharp = 0.5 * (squares * (1 + off) / line + line) @ (OF_SIX * size)[..., None]
+        along = (weights[:, None] * (p @ np.swapaxes(arms, 2, 3))).sum(axis=(2, 3))
+        gaps = np.maximum(self.radii * np.fmin(convex, sharp[..., 0]) - along, 0.0).sum(axis=1)
+        rounding = convex @ self.radii + (np.abs(shift) * weights.sum(axis=2)).sum(axis=1)
+        return gaps + ROUNDING * rounding
+
+    def curves_within(self, curves: Array, sizes: Array) -> Array:
+        """Through projections of four points, and shorter, or by projected coefficients.
+
+        Whichever are nearer: beside a circle the first ones are off by order four in the length of
+        the curve, the others by order two, but these do not go far off where curves enter a ball.
+        They are short enough where radius^2 size^2 - |size w|^2 has no coefficient below 0.
+        """
+        size, at = sizes[..., None], basis(3, THIRDS)
+        near = super().curves_within(curves, sizes) - self.center
+        aim = size * (curves - self.center)
+        with np.errstate(all="ignore"):  # where sizes vanish these are not better
+            points = self.center + (at @ aim) / (at @ size)
+            points = self.project_rows(points.reshape(-1, self.dim)).reshape(curves.shape)
+            arms = self._curves(to_bernstein(THIRDS) @ ((at @ size) * (points - self.center)))
+            room = (
+                np.tensordot(size * sizes[:, None], SQUARE, 2)[:, None] * self.radii[:, None] ** 2
+            )
+            squares = np.tensordot(arms @ np.swapaxes(arms, 2, 3), SQUARE, 2)
+            share = np.where(squares > 0, room / squares, 1.0).min(axis=2).clip(0, 1)
+            arms *= np.sqrt(share)[..., None, None]
+        both = np.stack([self._curves(size * near), arms])
+        off = both - self._curves(aim)
+        squares = (products(3, 3) * (off @ np.swapaxes(off, 3, 4))).sum(axis=(3, 4))
+        arms = np.where((squares[1] < squares[0])[..., None, None], *both[::-1])
+        arms = np.moveaxis(arms, 1, 2).reshape(curves.shape)
+        return self.center + np.divide(arms, size, out=near, where=size > 0)
+
+    def _curves(self, x: Array) -> Array:
+        """Coefficients of each ball, shape (m, balls, k, block)."""
+        return np.moveaxis(x.reshape(*x.shape[:2], -1, self.block), 2, 1)
 
     def blocks(self, v: Array) -> list[Blocks]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""

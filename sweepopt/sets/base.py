@@ -116,21 +116,6 @@ def exchange_matrix(
     return sp.diags_array(H) if H.any() else None
 
 
-class CurveGaps(NamedTuple):
-    """Curves in C beside curves p of directions, all on [0, 1].
-
-    Attributes
-    ----------
-    gaps : ndarray, shape (m,)
-        At least the mean of sigma(C, p) - <p, curve> >= 0.
-    distances : ndarray, shape (m,)
-        At least the distance of the curve from the one that was given, at any time.
-    """
-
-    gaps: Array
-    distances: Array
-
-
 class Halfspaces(NamedTuple):
     """C = { w : N w <= d, E w = e }, matrices dense or sparse."""
 
@@ -605,24 +590,27 @@ class ConvexSet(Operators, ABC):
         sigma = self.support(p)
         return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
 
-    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
-        """Curves in C near curves w beside quadratic curves p of directions, on [0, 1].
+    def gaps_along_curves(self, p: Array, w: Array, sizes: Array) -> Array:
+        """At least the mean of size (sigma(C, p) - <p, w>) >= 0 along curves p and w in C.
 
-        w itself: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
+        w = sum_k b_k size_k w_k / size with size = sum_k b_k size_k > 0. As sigma is convex, sum_jk
+        b_j b_k size_k (sigma(C, p_j) - <p_j, w_k>) is a bound at any time, if all w_k are in C.
 
         Parameters
         ----------
         p : ndarray, shape (m, 3, dim)
-            Bernstein coefficients of the directions.
-        w : ndarray, shape (m, k, dim)
-            Bernstein coefficients of the curves w, points of C.
-        ratios : ndarray, shape (m,)
-            A set with more than one such curve takes that of the smaller 2 gap + ratio distance^2.
+            Bernstein coefficients of quadratic curves on [0, 1].
+        w : ndarray, shape (m, 4, dim)
+        sizes : ndarray, shape (m, 4)
         """
         sigma = self.supports_along(p, w)[:, :, None]
         each = np.maximum(sigma - p @ np.swapaxes(w, 1, 2), 0.0) + ROUNDING * np.abs(sigma)
-        gaps = (products(2, w.shape[1] - 1) * each).sum(axis=(1, 2))
-        return CurveGaps(gaps, np.zeros_like(gaps))
+        gaps: Array = (products(2, 3) * sizes[:, None] * each).sum(axis=(1, 2))
+        return gaps
+
+    def curves_within(self, curves: Array, sizes: Array) -> Array:
+        """Curves w in C next to these, all with such sizes (`gaps_along_curves`)."""
+        return self.project_rows(curves.reshape(-1, self.dim)).reshape(curves.shape)
 
     def supports_along(self, p: Array, w: Array) -> Array:
         """sigma(C, p_j) of quadratic curves p, or bounds of it that are close beside curves w."""

@@ -1,8 +1,4 @@
-"""Curves on a sphere beside a polynomial curve of directions, bounded over a whole interval.
-
-A polynomial lies in the hull of its Bernstein coefficients, so that their norms bound it everywhere
-and not only where somebody looked.
-"""
+"""Polynomials on [0, 1] by their Bernstein coefficients, in whose hull they are."""
 
 from __future__ import annotations
 
@@ -10,40 +6,16 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebpts2
 from scipy.special import comb
 
 
-def ball_arcs(p: np.ndarray, w: np.ndarray, radius: Any) -> np.ndarray:
-    """How far radius p / |p|, whose gap is zero, is from curves w in balls.
+def gauss(n: int) -> Any:
+    """n points and weights on [0, 1]: exact to degree 2 n - 1."""
+    return (np.polynomial.legendre.leggauss(n) + np.array([[1], [0]])) / 2
 
-    Parameters
-    ----------
-    p : ndarray, shape (..., 3, dim)
-        Bernstein coefficients of quadratic curves of directions.
-    w : ndarray, shape (..., k, dim)
-        Bernstein coefficients of w, seen from the centre.
-    radius : float or ndarray, shape (...)
 
-    Returns
-    -------
-    ndarray, shape (...)
-        A bound of the distance over the whole interval; inf if p may vanish or turn away.
-    """
-    middle, transposed = p.sum(axis=-2), np.swapaxes(w, -1, -2)
-    size = np.linalg.norm(middle, axis=-1)
-    with np.errstate(all="ignore"):  # what vanishes or overflows has no arc
-        least = (p @ middle[..., None])[..., 0].min(axis=-1) / size  # |p| >= this
-        # what of w is across p: (|p|^2 w - <p, w> p) / |p|^2, above the bar a polynomial
-        theta = 0.5 + 0.5 * chebpts2(w.shape[-2] + 4)
-        curve, points = basis(2, theta) @ p, basis(w.shape[-2] - 1, theta) @ w
-        squares, along = (curve**2).sum(axis=-1), (curve * points).sum(axis=-1)
-        across = squares[..., None] * points - along[..., None] * curve
-        side = np.linalg.norm(to_bernstein(theta) @ across, axis=-1).max(axis=-1) / least**2
-        shortest = (w @ transposed).min(axis=(-1, -2))  # |w|^2 >= this
-        distance = np.hypot(side, radius - np.sqrt(np.maximum(shortest - side**2, 0.0)))
-    ahead = (least > 0) & ((p @ transposed).min(axis=(-1, -2)) > 0)
-    return np.where(ahead & ~np.isnan(distance), distance, np.inf)
+GAUSS, WEIGHTS = gauss(4)  # exact for squares of cubics
+THIRDS = np.arange(4) / 3
 
 
 def basis(degree: int, theta: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import (
     DENSE,
     ConvexSet,
-    CurveGaps,
     Features,
     Halfspaces,
     Selection,
@@ -96,14 +95,14 @@ class Box(ConvexSet):
     def is_inside(self, w: Array, distance: float) -> bool:
         return bool(((w - self.lower >= distance) & (self.upper - w >= distance)).all())
 
-    def gaps_along_curves(self, p: Array, w: Array, ratios: Array) -> CurveGaps:
+    def gaps_along_curves(self, p: Array, w: Array, sizes: Array) -> Array:
         # entry by entry: what cancels cancels to 0.0
         p, w = p[:, :, None], w[:, None]
         side = np.where(p > 0, self.upper, self.lower)
         slack = np.subtract(side, w, out=np.zeros(side.shape[:2] + w.shape[2:]), where=p != 0)
         each = np.maximum((slack * p).sum(axis=3), 0.0)
-        gaps = (products(2, w.shape[2] - 1) * each).sum(axis=(1, 2))
-        return CurveGaps(gaps, np.zeros_like(gaps))
+        gaps: Array = (products(2, 3) * sizes[:, None] * each).sum(axis=(1, 2))
+        return gaps
 
     def features(self, p: cp.Expression) -> Features:
         return rows_features(self._matrix, p)
