@@ -183,9 +183,24 @@ def test_the_bound_of_stiff_runs_is_close_to_the_error(n, most):
             check_close(stiff(n, rate), 1.0, 10, scheme, factor)
 
 
-def test_a_stiff_run_by_implicit_euler_is_the_first_of_the_runs_for_its_bound():
-    # 2.1 times the error if it is made again, which leaves the second run fewer steps
-    check_close(stiff(6, 1e8), 1.0, 10, "implicit-euler", 2.0)
+def test_bounds_of_second_order_runs_are_close_where_a_is_singular_and_motion_smooth():
+    # 11 and 18 times the error, twice as much on 400 steps, with implicit Euler as the second run
+    # and cubics that do not go on smoothly
+    ball = so.Moving(so.Ball([0, 0], 1.0), so.Separable([(so.Polynomial([0, 1.0]), [1, 0])]))
+    tractrix = so.SweepingProcess(np.zeros((2, 2)), np.eye(2), ball, [0.0, 1.0])
+    pull = so.Separable([(so.Polynomial([0, 2.0]), [1, 1])])
+    box = so.Moving(so.Box([-0.8] * 2, [0.8] * 2), pull)
+    ramp = so.SweepingProcess(np.diag([1.0, 0]), np.eye(2), box, [0, 0])
+    exact = {
+        tractrix: lambda t: np.transpose([t - np.tanh(t), 1 / np.cosh(t)]),
+        ramp: lambda t: 2 * np.transpose([(s := np.maximum(t - 0.4, 0)) - 1 + np.exp(-s), s]),
+    }
+    for process, u in exact.items():
+        sol = so.solve(process, t_end=4.0, steps=200, scheme="sdirk2")
+        times = divided(sol.t, 8)
+        error = np.linalg.norm(sol(times) - u(times), axis=1).max()
+        assert error <= sol.error_bound() <= 1.5 * error
+        assert sol.error_bound().guaranteed
 
 
 @pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint", "sdirk32"])
@@ -842,7 +857,7 @@ TURNS = so.Table(np.linspace(0.0, 4.0, 9), [0.0, 2.0, -1.5, 1.0, 3.0, -2.0, 0.5,
     [
         (RAMP, 0.0, 2.0, 0.0, 7, 1e-2, 1000),
         # of equal steps this takes 4,000, as u' jumps
-        (PULL, 0.0, 2.0, 0.0, 4, 1e-3, 1000),
+        (PULL, 0.0, 2.0, 0.0, 4, 1e-3, 2000),
         (PULL, 1e-3, 2.0, 0.0, 4, 1e-3, 500),
         # Adaptive meets its tolerance at the nodes before any of them is in the first layer
         (PULL, 1e-4, 1.0, 5.0, 20, 1e-2, 1000),

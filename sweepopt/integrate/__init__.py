@@ -40,5 +40,5 @@ from sweepopt.integrate.record import (
     StepInfo,
     saving,
 )
-from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler
+from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler, stiffly_accurate
 from sweepopt.integrate.step import BY_EULER, Velocities, combination, compensated_sum
