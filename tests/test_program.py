@@ -72,8 +72,9 @@ def test_every_solver_finds_the_exact_velocity_within_its_certificate(solver, sc
         -0.5 * so.Balls([1.0, 3.0], 2) + np.arange(4.0),
         2.0 * so.Ball([1.0, 0.0, -1.0, 0.5], 2.0) + np.ones(4),
         so.Balls([1.0, 0.0, 2.0, 1.0], 1),
+        so.image(np.eye(4)[[3, 0, 2, 1]], so.product(so.Ball([0, 0], 1.0), so.Ball([0, 0], 3.0))),
     ],
-    ids=["balls", "balls moved and scaled", "a ball moved and scaled", "intervals and a point"],
+    ids=["balls", "moved and scaled", "a ball moved and scaled", "with a point", "permuted"],
 )
 def test_the_active_set_method_meets_balls_wherever_they_are(C):
     rng = np.random.default_rng(5)

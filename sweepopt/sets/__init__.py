@@ -26,7 +26,7 @@ from sweepopt.sets.least_distance import (
     parallel_rows,
     shortest_on,
 )
-from sweepopt.sets.lifted import points_of_sum
+from sweepopt.sets.lifted import Lifted, points_of_sum
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent, Summands
 from sweepopt.sets.operations import image, images, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron

@@ -15,7 +15,6 @@ square root of that of M. Curved sets are projected on in that metric as compose
 """
 
 import contextlib
-import copy
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -31,11 +30,11 @@ from sweepopt.sets import (
     ROUNDING,
     ConvexSet,
     InMetric,
+    Lifted,
     NoHalfspacesError,
     Polytope,
     binary,
     least_distance,
-    product,
     shape_of,
 )
 from sweepopt.velocity.program import Answer, Small, Solve, VelocityProgram
@@ -161,7 +160,9 @@ class ActiveSet(Small):
             # numbers that are not finite are ValueErrors; a polytope may be flat to rounding
             with contextlib.suppress(EmptySetError, NoHalfspacesError, ValueError):
                 if not C.polyhedral:
-                    apart = copy.copy(product(*C.factors()))  # each ball has a unit of its own
+                    form = C.form()
+                    each = tuple(ball for S in form.parts for ball in S.factors())
+                    apart = Lifted(form._replace(parts=each))  # each ball has a unit of its own
                     return Answer(InMetric(apart, dense(M.M))(q, False).z, status="solved")
                 (G, h), L = C.halfspaces().inequalities(), lower()
                 # three refinements of what L rounds: without them polyhedra beside jumps of 1e8 are
