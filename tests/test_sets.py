@@ -18,6 +18,7 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 import sweepopt as so
+from sweepopt.sets import GAUSS, WEIGHTS, basis
 from tests.laws import (
     LAWS,
     ZOO,
@@ -346,6 +347,36 @@ def test_the_nearest_point_is_found_from_any_distance(case):
         v = point + force
         np.testing.assert_allclose(C.project(v), point, rtol=0, atol=atol)
         np.testing.assert_allclose(C.normal(v), v - point, rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("sizes", [np.ones(4), np.array([1.0, 1.3, 1.1, 2.0])])
+def test_curves_beside_a_circle_stay_in_the_disc_and_are_off_it_by_order_four(sizes):
+    theta = np.linspace(0, 1, 201)
+    p = np.array([[1.0, 0.0], [1.0, 1.0], [-1.0, 2.0]])
+    for C, r in ((so.Ball([0, 0], 1.0), 1.0), (-0.5 * so.Balls([4.0], 2), 2.0)):
+        off = []
+        for length in (1.0, 0.5):
+            angle = length * np.arange(4) / 3
+            aim = 1.5 * r * np.column_stack([np.cos(angle), np.sin(angle)])
+            w = C.curves_within(aim[None], sizes[None])[0]
+            arms = basis(3, theta) @ (sizes[:, None] * w) / (basis(3, theta) @ sizes)[:, None]
+            distance = np.linalg.norm(arms, axis=1) / r
+            assert distance.max() <= 1 + 1e-14
+            off.append(1 - distance.min())
+        if np.ptp(sizes) == 0:
+            assert off[0] / off[1] == pytest.approx(16, rel=0.1)
+        gap = C.gaps_along_curves(p[None], np.zeros((1, 4, 2)), sizes[None])[0]  # of w = 0
+        exact = [C.support(x) for x in basis(2, GAUSS) @ p] @ (WEIGHTS * (basis(3, GAUSS) @ sizes))
+        assert 0.99 * exact <= gap <= 1.3 * exact
+
+
+def test_the_bound_of_a_gap_holds_where_the_direction_turns_and_grows_60_times():
+    # six Gauss points of |p|^2 / l alone are 3e-5 of it too small
+    p = np.array([[0.0018968, -0.00142782], [-0.0187944, -0.07757452], [-0.09900198, -0.10607014]])
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    exact = 0.5 * weights @ np.linalg.norm(basis(2, 0.5 + 0.5 * nodes) @ p, axis=1)
+    gap = UNIT.gaps_along_curves(p[None], np.zeros((1, 4, 2)), np.ones((1, 4)))[0]
+    assert exact <= gap <= 1.05 * exact
 
 
 def test_what_is_inside_does_not_move_at_all():
