@@ -291,7 +291,13 @@ class Lifted(ConvexSet):
         return pair
 
     def project(self, w: Array) -> Array:
-        return self._nearest(w).w if self._blocks is None else self._blocks.project(w)
+        if self._blocks is not None:
+            return self._blocks.project(w)
+        pair = self._pair_of_one(w)
+        # a normal takes a second projection where sigma is infinite
+        if pair is None and self.certifiable and (near := self.near(w)).exact:
+            return near.w
+        return (pair or self._nearest(w)).w
 
     def project_rows(self, rows: Array) -> Array:
         """Rows are points of curves: each projection starts from the one before."""
