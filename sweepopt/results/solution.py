@@ -454,7 +454,7 @@ class Solution(Displayed):
 
     @checks.with_checks
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
-        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
+        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B if A is singular to rounding).
 
         Computing it takes several times as long as the run, as it makes other runs with more steps
         where bodies start and stop; a single one where C(t) is not data. Steps that were not kept

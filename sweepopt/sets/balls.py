@@ -129,11 +129,11 @@ class Balls(ConvexSet):
         return gaps + ROUNDING * rounding
 
     def curves_within(self, curves: Array, sizes: Array) -> Array:
-        """Through projections of four points, and shorter, or by projected coefficients.
+        """Those of projected coefficients, or through four projected points, whichever are nearer.
 
-        Whichever are nearer: beside a circle the first ones are off by order four in the length of
-        the curve, the others by order two, but these do not go far off where curves enter a ball.
-        They are short enough where radius^2 size^2 - |size w|^2 has no coefficient below 0.
+        Beside a circle curves through points are off by order four in their length, the others by
+        order two; where a curve enters a ball, curves through points go further off. They are made
+        shorter until radius^2 size^2 - |size w|^2 has no coefficient below 0.
         """
         size, at = sizes[..., None], basis(3, THIRDS)
         near = super().curves_within(curves, sizes) - self.center
