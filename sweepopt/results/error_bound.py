@@ -169,7 +169,9 @@ def error_bound(
     Nor is there for sets that move separately and schemes of one stage, whose steps are in as many
     parts as WORK has programs: with two passes bounds were 1.2 (at most 2) times as loose.
     Each pass bounds |u - v|, with the best curve on each step; on each step the smallest bound of
-    all counts. The next pass has as many more steps as its goal needs, or WORK has left.
+    all counts. The first one of a stiff body that ran by implicit Euler is that run itself, as BDF2
+    starts like it: with its programs left for the second pass the worst bound of 24 such processes
+    is 2.5 times the error, not 3.0. The next pass has as many more steps as its goal needs, or WORK has left.
     """
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > STIFF
@@ -181,20 +183,24 @@ def error_bound(
     scheme = SCHEMES["trapezoid"] if not stiff else BDF2 if len(curves) > 1 else euler
     work = _work(process, plan, separate)
     parts = work if separate and stages == 1 else 1 if stiff else 2
+    euler_run = plan.scheme == euler
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), replace(plan, scheme=euler))
     A, B = np.full((2, len(run.t) - 1), np.inf)
     layer = run.t[:0] if plan.cones else _start_layer(process, norms.Lam, run.t)
     t = np.union1d(_first_grid(process, run.t, parts), layer)
+    same = scheme is BDF2 and euler_run and len(t) == len(run.t)
+    first_pass = run, np.concatenate([run.velocity[:1], run.velocity]), None
     ends = norms.A(run.u)
     largest, lower = _largest_state(norms, t0, float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
-        nodes, slopes, members = companion(process, plan, velocities, t)
+        made = bool(passes) or not same
+        nodes, slopes, members = companion(process, plan, velocities, t) if made else first_pass
         moving = _moving(nodes, separate)
         if not passes:  # what the run took for rest may move
             left = work * stages * max(_moving(run, separate), -(-(moving - len(layer)) // parts))
-        left -= moving
+        left -= made * moving
         velocity = slopes_of_curves(nodes, slopes, curves)
         each, reason = residuals(norms, nodes, velocity, variation, slopes[1:], members)
         growth = _growth(norms, t, each)
