@@ -976,3 +976,14 @@ def test_breakpoints_that_miss_a_grid_time_by_rounding_are_at_it(scheme):
         process = block(so.Table([0.0, b, 0.1], [0.0, 3.0, -1.0]))
         bounds.append(so.solve(process, t_end=0.1, steps=20, scheme=scheme).error_bound())
     assert bounds[1] == pytest.approx(bounds[0], rel=0.1)
+
+
+@pytest.mark.parametrize("A", [0.0, 1e-4])
+def test_a_step_that_rounding_makes_before_a_breakpoint_is_not_refined(A):
+    """3 * (12.9 / 6) is not 9 * (12.9 / 18): the body turns within a step of one rounding."""
+    force = so.Table(np.linspace(0.0, 12.9, 7), [0.0, 1.5, -1.0, 2.0, 0.0, 1.0, -2.0])
+    process = so.SweepingProcess(A, 1.0, so.Moving(so.Box(-0.5, 0.5), force), 0.0)
+    sol = so.solve(process, t_end=12.9, steps=18, scheme="implicit-euler")
+    exact = so.solve(process, steps=np.linspace(0.0, 12.9, 18 * 8 + 1), scheme="exact")
+    error = max(map(process.metric.norm, sol(exact.t) - exact.u))
+    assert error <= sol.error_bound() <= 1.1 * error

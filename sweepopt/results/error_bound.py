@@ -345,16 +345,17 @@ def _refined(t: Array, shares: Array, cuts: int) -> Array:
 
     Steps are halved, that with the most cuts left for its parts first: so they have few lengths,
     each of which has a matrix, and seldom another one than the step before, where BDF2 is of order
-    one.
+    one. One that only rounding makes, between a node and a breakpoint there, is never cut.
     """
-    weights = np.sqrt(np.nan_to_num(shares))  # of inf they have a finite sum
+    long = np.diff(t) > TIME_SLACK * np.abs(t).max()
+    weights = np.sqrt(np.nan_to_num(shares)) * long  # of inf they have a finite sum
     weights *= cuts / (float(weights.sum()) or 1.0)
     halvings = np.arange(int(cuts).bit_length())
     sizes = (1 + weights)[:, None] / 2.0**halvings
     parts = np.ones(len(shares), dtype=int)
     for k in np.argsort(-sizes, axis=None, kind="stable").tolist():
         step, more = k // len(halvings), 2 ** (k % len(halvings))
-        if more <= cuts:
+        if more <= cuts and long[step]:
             parts[step] += more
             cuts -= more
     return divided(t, parts)
