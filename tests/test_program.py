@@ -254,6 +254,16 @@ def test_a_set_without_proof_makes_the_run_uncertified_and_right():
     assert np.isnan(runs[0].stats["certificate"]).any()
 
 
+def test_a_body_at_rest_in_a_set_without_proof_stays_there():
+    """Its velocity and its load are 0: nothing to which a certificate could be compared."""
+    import cvxpy as cp
+
+    C, B = so.Constraints(3, lambda w: [cp.norm(w, 1) <= 1]), 0.7 * np.eye(3) + 0.1
+    sol = so.solve(so.SweepingProcess(np.eye(3), B, C, np.zeros(3)), t_end=1.0, steps=1)
+    assert sol.status is so.Status.UNCERTIFIED
+    assert not sol.u.any()
+
+
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_where_a_solver_has_no_answer_the_next_is_asked():
     A, box = np.array([[2.0, 1.0], [1.0, 3.0]]), so.Box([-4.0, 3.0], [-2.0, 5.0])
