@@ -52,7 +52,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, Array
+from sweepopt.checks import TIME_SLACK, Array, times_inside
 from sweepopt.errors import PathError, Status
 from sweepopt.integrate import (
     MEMORY,
@@ -291,9 +291,8 @@ def _largest_state(norms: Norms, a: float, b: float) -> float:
 def _first_grid(process: SweepingProcess, t: Array, parts: int) -> Array:
     """The breakpoints of the data added, if they are fewer, and each step in equal parts."""
     cuts = breakpoints(histories_of(process.C, inside=False), t[0], t[-1])
-    t = np.union1d(t, cuts) if len(cuts) < len(t) else t
-    long = np.diff(t) > TIME_SLACK * np.abs(t).max()  # others end at a node but for rounding
-    return divided(t, np.where(long, parts, 1))
+    t = np.union1d(t, times_inside(cuts, t)) if len(cuts) < len(t) else t
+    return divided(t, np.full(len(t) - 1, parts))
 
 
 def _start_layer(process: SweepingProcess, Lam: float, t: Array) -> Array:
@@ -345,17 +344,16 @@ def _refined(t: Array, shares: Array, cuts: int) -> Array:
 
     Steps are halved, that with the most cuts left for its parts first: so they have few lengths,
     each of which has a matrix, and seldom another one than the step before, where BDF2 is of order
-    one. One that only rounding makes, between a node and a breakpoint there, is never cut.
+    one.
     """
-    long = np.diff(t) > TIME_SLACK * np.abs(t).max()
-    weights = np.sqrt(np.nan_to_num(shares)) * long  # of inf they have a finite sum
+    weights = np.sqrt(np.nan_to_num(shares))  # of inf they have a finite sum
     weights *= cuts / (float(weights.sum()) or 1.0)
     halvings = np.arange(int(cuts).bit_length())
     sizes = (1 + weights)[:, None] / 2.0**halvings
     parts = np.ones(len(shares), dtype=int)
     for k in np.argsort(-sizes, axis=None, kind="stable").tolist():
         step, more = k // len(halvings), 2 ** (k % len(halvings))
-        if more <= cuts and long[step]:
+        if more <= cuts:
             parts[step] += more
             cuts -= more
     return divided(t, parts)
