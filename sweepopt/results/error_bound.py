@@ -171,7 +171,8 @@ def error_bound(
     Each pass bounds |u - v|, with the best curve on each step; on each step the smallest bound of
     all counts. The first one of a stiff body that ran by implicit Euler is that run itself, as BDF2
     starts like it: with its programs left for the second pass the worst bound of 24 such processes
-    is 2.5 times the error, not 3.0. The next pass has as many more steps as its goal needs, or WORK has left.
+    is 2.5 times the error, not 3.0. The next pass has as many more steps as its goal needs, or WORK
+    has left.
     """
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > STIFF
