@@ -184,24 +184,24 @@ def error_bound(
     scheme = SCHEMES["trapezoid"] if not stiff else BDF2 if len(curves) > 1 else euler
     work = _work(process, plan, separate)
     parts = work if separate and stages == 1 else 1 if stiff else 2
-    euler_run = plan.scheme == euler
+    own = scheme is BDF2 and plan.scheme == euler
     plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
     velocities = Velocities(plan.process_of(process), replace(plan, scheme=euler))
     A, B = np.full((2, len(run.t) - 1), np.inf)
     layer = run.t[:0] if plan.cones else _start_layer(process, norms.Lam, run.t)
     t = np.union1d(_first_grid(process, run.t, parts), layer)
-    same = scheme is BDF2 and euler_run and len(t) == len(run.t)
+    own &= len(t) == len(run.t)  # then the first pass is the run itself
     first_pass = run, np.concatenate([run.velocity[:1], run.velocity]), None
     ends = norms.A(run.u)
     largest, lower = _largest_state(norms, t0, float(run.t[-1])), 0.0
     passes: list[tuple[int, float]] = []
     while True:
-        made = bool(passes) or not same
-        nodes, slopes, members = companion(process, plan, velocities, t) if made else first_pass
+        new = bool(passes) or not own
+        nodes, slopes, members = companion(process, plan, velocities, t) if new else first_pass
         moving = _moving(nodes, separate)
         if not passes:  # what the run took for rest may move
             left = work * stages * max(_moving(run, separate), -(-(moving - len(layer)) // parts))
-        left -= made * moving
+        left -= new * moving
         velocity = slopes_of_curves(nodes, slopes, curves)
         each, reason = residuals(norms, nodes, velocity, variation, slopes[1:], members)
         growth = _growth(norms, t, each)
