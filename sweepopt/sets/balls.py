@@ -445,6 +445,10 @@ class Ellipsoid(ConvexSet):
     def support(self, z: Array) -> float:
         return float(self.center @ z + np.linalg.norm(self.root @ z))
 
+    def support_rows(self, rows: Array) -> Array:
+        sigma: Array = rows @ self.center + row_lengths(rows @ self.root.T)
+        return sigma
+
     def project(self, w: Array) -> Array:
         # x_i = e_i d_i / (e_i + lam)
         d, e = self._axes.T @ (w - self.center), self._squares

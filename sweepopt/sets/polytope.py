@@ -69,7 +69,13 @@ class Polytope(ConvexSet):
     def support(self, z: Array) -> float:
         return float((self.vertices @ z).max())
 
+    def support_rows(self, rows: Array) -> Array:
+        sigma: Array = (rows @ self.vertices.T).max(axis=1)
+        return sigma
+
     def project(self, w: Array) -> Array:
+        if self.dim == 1:  # the nearest of all points between
+            return np.clip(w, self.vertices.min(), self.vertices.max())
         face = self._memo(w, self._nearest_face)
         return w if face is None else face.point.copy()
 
