@@ -88,7 +88,9 @@ class Cholesky:
 def factorised(M: Matrix, order: Array | None = None, m: int = 0) -> Cholesky:
     """M factorised; of a sparse one the last m unknowns of an order have their block of L."""
     if not sp.issparse(M):
-        lower = scipy.linalg.cholesky(M, lower=True)
+        lower, failed = lapack.dpotrf(M, lower=True)  # scipy's own takes 18 us, this 1.4
+        if failed:
+            raise scipy.linalg.LinAlgError("not positive definite")
         return Cholesky(lower.diagonal() ** 2, lambda w: lapack.dpotrs(lower, w, lower=True)[0])
     return (cholmod if M.shape[0] <= LIMIT and has_cholmod() else superlu)(M, order, m)
 

@@ -1,6 +1,7 @@
 """Solvers of the velocity program: the library's names for them and how "auto" chooses."""
 
 from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Any
 
 from sweepopt.errors import SolverRefusedError, shown, suggestion
@@ -43,11 +44,8 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     SolverRefusedError
         If the name is unknown or the solver cannot treat C.
     """
-    general = [
-        one
-        for one in (_new_solver(OSQP, C, tol), _new_solver(Clarabel, C, tol), LAST)
-        if one.treats(C)
-    ]
+    new = partial(_new_solver, C.certifiable, tol)
+    general = [one for one in (new(OSQP), new(Clarabel), LAST) if one.treats(C)]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
         fastest = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
@@ -66,7 +64,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
                 f"solver {shown(solver)} is not known; use auto, {_names()} or cvxpy:NAME for one "
                 f"that cvxpy knows{near}"
             )
-        solver = Cvxpy(engine.upper()) if engine else _new_solver(REGISTRY[name], C, tol)
+        solver = Cvxpy(engine.upper()) if engine else new(REGISTRY[name])
     if isinstance(solver, type):
         name = "so." * (solver in REGISTRY.values()) + solver.__name__
         raise SolverRefusedError(
@@ -87,9 +85,10 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     return (solver, *(other for other in (*small, *general) if other.name != solver.name))
 
 
-def _new_solver(kind: Any, C: ConvexSet, tol: float) -> Solver:
-    """A solver with settings that meet tol; what it calls solved stands where C has no proof."""
-    return kind.meeting(tol) if C.certifiable and hasattr(kind, "meeting") else kind()
+@lru_cache  # every matrix of a run asks for them
+def _new_solver(proved: bool, tol: float, kind: Any) -> Solver:
+    """A solver with settings that meet tol; what it calls solved stands where nothing is proved."""
+    return kind.meeting(tol) if proved and hasattr(kind, "meeting") else kind()
 
 
 def _curved_parts(C: ConvexSet) -> str:
