@@ -421,12 +421,15 @@ def _distances(norms: Norms, nodes: Nodes, slopes: Array, run: Nodes) -> tuple[A
     Those of the Bernstein coefficients of the cubic v - u_n, on some steps at a time: of 5,000
     unknowns all at once took twice as long.
     """
-    u = np.column_stack([np.interp(nodes.t, run.t, x) for x in run.u.T])
-    many, sizes = max(CHUNK // (30 * u.shape[1]), 1), []
+    step = np.clip(np.searchsorted(run.t, nodes.t, side="right") - 1, 0, len(run.t) - 2)
+    share = ((nodes.t - run.t[step]) / np.diff(run.t)[step])[:, None]
+    many, sizes = max(CHUNK // (30 * run.u.shape[1]), 1), []
     for k in range(0, len(slopes), many):
-        h, part = np.diff(nodes.t[k : k + many + 1])[:, None, None], u[k : k + many + 1]
-        difference = nodes.u[k : k + many + 1] - part
-        increments = h * slopes[k : k + many] - np.diff(part, axis=0)[:, None]
+        some = slice(k, k + many + 1)
+        i, x = step[some], share[some]
+        u, h = (1 - x) * run.u[i] + x * run.u[i + 1], np.diff(nodes.t[some])[:, None, None]
+        difference = nodes.u[some] - u
+        increments = h * slopes[k : k + many] - np.diff(u, axis=0)[:, None]
         curve = cubic(difference[:-1], difference[1:], increments)
         sizes.append([norms.A(curve), norms.B(curve)])
     all_sizes = np.concatenate(sizes, axis=1)

@@ -176,24 +176,29 @@ def slopes_of_curves(nodes: Nodes, velocities: Array, chosen: Sequence[str]) -> 
 
     The cubic through four nodes by divided differences; at both ends a parabola through three.
     """
+    mean = nodes.velocity
+    # the sum of the three is 3 mean; where both ends are the mean so is the middle, to the last bit
+    return np.stack(
+        [
+            np.stack([first, mean + (mean - first) + (mean - last), last], axis=1)
+            for first, last in (_slopes_at_ends(nodes, velocities, curve) for curve in chosen)
+        ]
+    )
+
+
+def _slopes_at_ends(nodes: Nodes, velocities: Array, curve: str) -> tuple[Array, Array]:
+    """v' at both ends of each step."""
     mean, h = nodes.velocity, np.diff(nodes.t)[:, None]
+    if curve == "straight":
+        return mean, mean
+    if curve == "velocities":
+        return velocities[:-1], velocities[1:]
     second = np.diff(mean, axis=0) / (h[1:] + h[:-1])
     turn = np.concatenate([second[:1], second]) if len(second) else 0 * mean
     third = np.zeros_like(mean)
     third[1:-1] = np.diff(second, axis=0) / (h[:-2] + h[1:-1] + h[2:])
     before = np.concatenate([h[:1], h[:-1]])
-    ends = {
-        "straight": (mean, mean),
-        "velocities": (velocities[:-1], velocities[1:]),
-        "nodes": (mean - h * (turn + before * third), mean + h * (turn + (h + before) * third)),
-    }
-    # the sum of the three is 3 mean; where both ends are the mean so is the middle, to the last bit
-    return np.stack(
-        [
-            np.stack([first, mean + (mean - first) + (mean - last), last], axis=1)
-            for first, last in map(ends.__getitem__, chosen)
-        ]
-    )
+    return mean - h * (turn + before * third), mean + h * (turn + (h + before) * third)
 
 
 def force_along(
