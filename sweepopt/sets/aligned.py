@@ -85,19 +85,19 @@ class Aligned(ConvexSet):
         return each if self.unknowns is None else [self.unknowns[at] for at in each]
 
     def _split(self, *vectors: Any) -> Any:
-        """The parts, each with its entries of the vectors."""
+        """The parts, each with its entries of the vectors, in rows or not."""
         if self.whole:
             return [(self.parts[0], *vectors)]
         each = zip(self.parts, self._places, strict=True)
-        return [(S, *(x[at] for x in vectors)) for S, at in each]
+        return [(S, *(x[..., at] for x in vectors)) for S, at in each]
 
     def _joined(self, blocks: list[Any], rest: Array | None = None) -> Array:
-        """The vector that has a block for each part, 0 or the rest beside them."""
+        """The vectors that have a block for each part, 0 or the rest beside them."""
         if self.whole:
             return np.asarray(blocks[0])
-        w = np.zeros(self.dim) if rest is None else rest.copy()
+        w = np.zeros((*blocks[0].shape[:-1], self.dim)) if rest is None else rest.copy()
         for at, block in zip(self._places, blocks, strict=True):
-            w[at] = block
+            w[..., at] = block
         return w
 
     def _to(self, x: Array) -> Array:
@@ -127,7 +127,7 @@ class Aligned(ConvexSet):
             # cvxpy takes 20 s for 500 balls one by one
             y, constraints = features_of_balls(p, *dims)
             return Features([*own, *y], constraints)
-        each = [S.features(x) for S, x in self._split(p)]
+        each = [S.features(p[at]) for S, at in zip(self.parts, self._places, strict=True)]
         y, constraints = (list(chain(*lists)) for lists in zip(*each, strict=True))
         return Features(own + y, constraints)
 
@@ -152,14 +152,7 @@ class Aligned(ConvexSet):
         return None if any(x is None for x in each) else self._to(self._joined(each))
 
     def project_rows(self, rows: Array) -> Array:
-        each = self._split(self._back(rows).T)
-        blocks = [S.project_rows(x.T).T for S, x in each]
-        joined = self._joined(blocks, np.zeros(rows.T.shape))
-        return self._to(joined.T)
-
-    def is_beyond(self, w: Array, distance: float) -> bool:
-        r, _ = self._scale
-        return any(S.is_beyond(x, distance / r) for S, x in self._split(self._back(w)))
+        return self._to(self._joined([S.project_rows(x) for S, x in self._split(self._back(rows))]))
 
     def normal(self, v: Array) -> Array:
         v = self._back(v)
@@ -223,26 +216,18 @@ class Aligned(ConvexSet):
 
     def gaps_along_curves(self, p: Array, w: Array, sizes: Array) -> Array:
         r, sign = self._scale
-        parts = self._split(*(np.moveaxis(x, -1, 0) for x in (sign * p, self._back(w))))
-        gaps: Array = sum(
-            S.gaps_along_curves(*(np.moveaxis(x, 0, -1) for x in curves), r * sizes)
-            for S, *curves in parts
-        )
+        each = self._split(sign * p, self._back(w))
+        gaps: Array = sum(S.gaps_along_curves(*curves, r * sizes) for S, *curves in each)
         return gaps
 
     def curves_within(self, curves: Array, sizes: Array) -> Array:
-        each = self._split(np.moveaxis(self._back(curves), -1, 0))
-        blocks = [
-            np.moveaxis(S.curves_within(np.moveaxis(x, 0, -1), sizes), -1, 0) for S, x in each
-        ]
-        joined = self._joined(blocks, np.zeros((self.dim, *curves.shape[:2])))
-        return self._to(np.moveaxis(joined, 0, -1))
+        each = self._split(self._back(curves))
+        return self._to(self._joined([S.curves_within(x, sizes) for S, x in each]))
 
     def supports_along(self, p: Array, w: Array) -> Array:
         r, sign = self._scale
-        parts = self._split(*(np.moveaxis(x, -1, 0) for x in (sign * p, self._back(w))))
-        each = (S.supports_along(*(np.moveaxis(x, 0, -1) for x in curves)) for S, *curves in parts)
-        sigma = r * np.sum(list(each), axis=0)
+        each = self._split(sign * p, self._back(w))
+        sigma = r * np.sum([S.supports_along(*curves) for S, *curves in each], axis=0)
         return sigma if self.v is None else sigma + p @ self.v
 
     def _alike(self, other: ConvexSet) -> TypeGuard[Aligned]:

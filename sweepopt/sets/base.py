@@ -647,10 +647,6 @@ class ConvexSet(Operators, ABC):
         Its last bits are those of this start: to be called on `copy_for_run`.
         """
 
-    def is_beyond(self, w: Array, distance: float) -> bool:
-        """Whether it is known without a projection that w is further from C than that."""
-        return False
-
     def is_inside(self, w: Array, distance: float) -> bool:
         """Whether it is known that all points within this distance of w are in C."""
         return not (distance or self.normal(w).any())

@@ -23,7 +23,6 @@ from scipy.sparse.linalg import norm
 
 from sweepopt.checks import Array
 from sweepopt.errors import EmptySetError, TouchingError
-from sweepopt.linalg import euclidean
 from sweepopt.sets.aligned import Aligned, product_of, shape_of
 from sweepopt.sets.balls import Ball, Balls
 from sweepopt.sets.base import (
@@ -70,7 +69,6 @@ class Lifted(ConvexSet):
     """{ E s : s in S, F s = 0 }, S the product of exact parts; the operands are what made it."""
 
     exact = False
-    _beside: Projection | None = None  # on the set before, with the same E and F
 
     def __init__(self, lifted: Form, *operands: ConvexSet) -> None:
         # (C + D) + E is made of three: 2,000 operations are no deeper than one
@@ -86,7 +84,7 @@ class Lifted(ConvexSet):
 
     def __getstate__(self) -> dict[str, Any]:
         # factorisations cannot be pickled, and are made again when they are needed
-        made_again = ("_projector", "_last", "_beside")
+        made_again = ("_projector", "_last")
         return {name: x for name, x in self.__dict__.items() if name not in made_again}
 
     # ---- support function -----------------------------------------------------------------------
@@ -211,35 +209,6 @@ class Lifted(ConvexSet):
                 f"projection; {REMEDY}"
             )
         return near
-
-    def copy_for_run(self, before: ConvexSet | None = None) -> ConvexSet:
-        made: Any = super().copy_for_run(before)
-        if isinstance(before, Lifted) and all(map(same_array, self.lifted[:2], before.lifted[:2])):
-            made._beside = before._last[1] or before._beside
-        return made
-
-    def is_beyond(self, w: Array, distance: float) -> bool:
-        """By the half-space of the last projection, which bodies that slide seldom come back to.
-
-        That of the set before has a normal p with p = E^T p - F^T lam for the parts, so that
-        sigma(C, p) is at most that of S.
-        """
-        last: Projection | None = self._last[1]
-        if last is not None and last.exact:
-            p, way = last.p, w - last.w
-            size = float(np.abs([last.v, last.w, w]).max())
-            rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
-            return bool(p @ way > distance * np.linalg.norm(p) + rounding)
-        rows = any(isinstance(shape_of(C), Polyhedron) for C in self.lifted.parts)  # slow supports
-        if self._beside is None or rows or not self.lifted.small:
-            return False
-        p, splitting = self._beside.p, self._beside.splitting
-        n, sizes = splitting.normals(splitting.E.T @ p, self._beside.image - self._beside.s)
-        sizes = splitting.units * (sizes + np.abs(splitting.E.T) @ np.abs(p))
-        n = splitting.units * n
-        most = self.part.support(n) + 10 * ROUNDING * euclidean(sizes) * self.part.magnitude()
-        rounding = 10 * ROUNDING * float(np.abs(p) @ np.abs(w))
-        return bool(p @ w - most > distance * euclidean(p) + rounding)
 
     def _pair_of_one(self, v: Array) -> NormalPair | None:
         """That which another set knows: one that C is made of, or by Moreau the polar cone."""
@@ -499,13 +468,6 @@ class Intersection(Lifted):
             if not any(C.normal(w).any() for C in self.operands if C is not part):
                 return w
         return None
-
-    def is_beyond(self, w: Array, distance: float) -> bool:
-        """A point beyond one of the sets is beyond what they share."""
-        return any(
-            euclidean(C.normal(w)) > distance if C.exact else C.is_beyond(w, distance)
-            for C in self.operands
-        )
 
     def _require_point(self, where: str) -> None:
         for C in self.operands:  # one that is empty by itself says so

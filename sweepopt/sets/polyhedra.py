@@ -334,10 +334,6 @@ class Polyhedron(ConvexSet):
             left = left[~serves]
         return points
 
-    def is_beyond(self, w: Array, distance: float) -> bool:
-        violation = self.rows @ w - self.offsets - self._rounding(w)
-        return bool((violation / self._lengths > distance).any())
-
     def is_inside(self, w: Array, distance: float) -> bool:
         slack = self.offsets - self.rows @ w - self._rounding(w)
         return bool((slack / self._lengths >= distance).all())

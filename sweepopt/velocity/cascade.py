@@ -255,6 +255,7 @@ class Cascade:
             for part in map(shape_of, of.S.form().parts)
         )
         self._attempts = attempts(solver, M, of.S, tol, anew or not proved)
+        self._rested = True
 
     def serves(self, inclusion: Inclusion, S: ConvexSet) -> bool:
         """Whether its programs are those of this inclusion and this set."""
@@ -266,9 +267,27 @@ class Cascade:
             velocity = inclusion.closed_form(of, tol)
             if velocity is not None:
                 return velocity
+        # what moved last mostly still does, and whether it rests costs a projection
+        if not self._rested or not self._rests(of):
+            velocity = self._solved(of)
+            self._rested = self._may_rest(of, velocity) and self._rests(of)
+            if not self._rested:
+                return velocity
+        rest = at_rest(of.q)
+        return rest if self._proved else rest._replace(w=of.projection(of.force) + of.c)
+
+    def _rests(self, of: Instance) -> bool:
+        return self._inclusion.rests(of, self._tol) if self._proved else of.rests()
+
+    def _may_rest(self, of: Instance, velocity: Velocity) -> bool:
+        """Whether it is so slow: |z*|_M is the distance of the force to C in |.|_{M^-1}."""
+        M, error = self._inclusion.M, velocity.certificate if self._proved else 0.0
+        return not M.norm(velocity.z) > error + M.bound_factor * of.most_at_rest / M.root.min()
+
+    def _solved(self, of: Instance) -> Velocity:
+        """By the formula of a diagonal M, or by solvers."""
+        inclusion, tol = self._inclusion, self._tol
         if not self._proved:  # wrong answers show in the trajectory's residual
-            if of.rests():
-                return at_rest(of.q)._replace(w=of.projection(of.force) + of.c)
             nothing = unsolved(of).z
             for attempt in self._attempts:
                 pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
@@ -279,8 +298,6 @@ class Cascade:
                     w = pair.w + of.c if pair.gap < math.inf else None
                     return Velocity(pair.z, math.nan, math.nan, attempt.solver.name, w=w)
                 attempt.compiled = None
-        if inclusion.rests(of, tol):
-            return at_rest(of.q)
         if self._has_formula:
             # z = M^-1 (w - q + c), w the projection on C - c in the metric of M
             diagonal = inclusion.M.small.diagonal

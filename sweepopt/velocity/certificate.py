@@ -100,15 +100,17 @@ class Instance(NamedTuple):
 
     def rests(self) -> bool:
         """Whether z = 0: q is in C but for rounding."""
-        shifts = self.S.shift_sizes
-        squares = self.q.dot(self.q) + self.c.dot(self.c) + shifts.dot(shifts)
-        most = 3 * ROUNDING * math.sqrt(squares)  # of the length of what `is_rounding` allows
         few, size = self.force[self.unknowns], self.force.dot(self.force)
-        # what S does not act on, or S itself; a sum of a million squares rounds less than 1e-9
-        if size - few.dot(few) > most**2 + 1e-9 * size or self.S.is_beyond(few, most):
+        # what S does not act on; a sum of a million squares rounds less than 1e-9
+        if size - few.dot(few) > self.most_at_rest**2 + 1e-9 * size:
             return False
-        outside = self.force - self.projection(self.force)
-        return euclidean(outside) <= most and self.is_rounding(outside)
+        return self.is_rounding(self.force - self.projection(self.force))
+
+    @property
+    def most_at_rest(self) -> float:
+        """A bound of the length of what `is_rounding` allows."""
+        squares = sum(x.dot(x) for x in (self.q, self.c, self.S.shift_sizes))
+        return 3 * ROUNDING * math.sqrt(squares)
 
     def is_rounding(self, outside: Array) -> bool:
         """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
