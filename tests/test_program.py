@@ -369,3 +369,29 @@ def test_nothing_moves_where_c_is_the_whole_space(solver):
     process = so.EvolutionVI(0.5, 0.5, dissipation=so.WholeSpace(1), u0=[1.0])
     sol = so.solve(process, t_end=1.0, steps=2, solver=solver)
     assert np.array_equal(sol.u, np.ones((3, 1)))
+
+
+def stuck_in(C, w, p):
+    """Which unknowns rest where the force pushes C along its normal p at w: the velocity is -p."""
+    M = np.array([[2.0, 0.6, 0.3], [0.6, 1.0, 0.2], [0.3, 0.2, 1.5]])[: w.size, : w.size]
+    process = so.SweepingProcess(M, None, C - (w + M @ p), np.zeros(w.size))
+    z = so.velocity_field(process)(0.0, process.u0)
+    np.testing.assert_allclose(z, -p, atol=1e-6 * np.abs(p).max())
+    return (z == 0).tolist()
+
+
+@pytest.mark.parametrize("height", [31.5, 31.75, 32.0])
+def test_a_hull_in_a_box_far_away_slides_along_one_axis_alone(height):
+    # rounding was left along the edge: 4e-15 beside 3e-4
+    hull = so.Polytope([[58, 32], [58, 31], [58, 33], [57, 32], [56, 30], [56, 35]])
+    C = hull & so.Box([-198, -736], [58, 800])
+    assert stuck_in(C, np.array([58.0, height]), np.array([3e-4, 0.0])) == [False, True]
+
+
+@pytest.mark.parametrize("p", [[0.3, 0.0, 0.2], [0.0, 0.1, -0.2], [1.0, 1.0, 0.0]])
+def test_a_sum_of_ellipsoids_far_away_slides_along_two_axes_alone(p):
+    # rounding was left in the third: 1e-12 beside 0.3
+    D, E, p = np.diag([1.0, 4.0, 9.0]), np.diag([25.0, 4.0, 1.0]), np.array(p)
+    C = so.Ellipsoid(np.full(3, 3e3), D) + so.Ellipsoid(np.zeros(3), E)
+    w = 3e3 + D @ p / np.sqrt(p @ D @ p) + E @ p / np.sqrt(p @ E @ p)
+    assert stuck_in(C, w, p) == (p == 0).tolist()

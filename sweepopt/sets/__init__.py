@@ -32,5 +32,5 @@ from sweepopt.sets.operations import image, images, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
 from sweepopt.sets.programs import CAREFUL, check_features, in_turn
-from sweepopt.sets.projection import InMetric, Start
+from sweepopt.sets.projection import InMetric
 from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace

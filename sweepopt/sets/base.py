@@ -641,12 +641,6 @@ class ConvexSet(Operators, ABC):
         """
         return self.algebra.epigraph(self, p)
 
-    def start_at(self, v: Array, s: Array, n: Array) -> None:
-        """Find the projection of v from points s of the parts and normals n; formulas need none.
-
-        Its last bits are those of this start: to be called on `copy_for_run`.
-        """
-
     def is_inside(self, w: Array, distance: float) -> bool:
         """Whether it is known that all points within this distance of w are in C."""
         return not (distance or self.normal(w).any())

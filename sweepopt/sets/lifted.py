@@ -196,9 +196,6 @@ class Lifted(ConvexSet):
         near: Projection = self._memo(v, self._projection)
         return near
 
-    def start_at(self, v: Array, s: Array, n: Array) -> None:
-        self._last = v.tobytes(), self._projection(v, Start(s, n))
-
     def _projection(self, v: Array, start: Start | None = None, patient: bool = True) -> Projection:
         near = self._projector(v.copy(), start, patient)
         cut = self._cut and self.lifted.small

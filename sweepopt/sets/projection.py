@@ -142,8 +142,6 @@ class Projector:
         s, n = start.scaled(plain.units)
         size_s = float(max(np.abs(s).max(), plain.extent))
         size_n = max(float(np.abs(n).max()), plain.pull_size(v))
-        if not size_s + size_n:  # 0, and from 0, which may be far from the parts
-            size_s = float(np.abs(plain.projected(s)).max())
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
         size = max(unit * size_s, size_n / unit)
         return self.splitting(unit).projection(v, unit * s - n / unit, size)
@@ -268,7 +266,7 @@ class Splitting:
             inner = sp.eye_array(n) + self.E.T @ self.E
             system = [[inner, self.F.T], [self.F, None]]
             self._factor = splu(sp.csc_array(sp.block_array(system)))
-        self._sums = [abs(M).sum(axis=1) for M in (self.E, self.F)]
+        self._sums = abs(self.E).sum(axis=1)
         self._largest = float(abs(self.E).max())
 
     def K(self, x: Array) -> Array:
@@ -326,12 +324,8 @@ class Splitting:
         else:
             x, fixed = fixed_point(step, x, size)
             s, image, on_parts = at(x)
-        # a far start may have left nothing but its rounding: judged by the data, and without it
-        off, limits = np.abs(self.F @ on_parts), size * self._sums[1]
-        exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
-        exact = exact and bool((off <= 10 * ROUNDING * limits).all())
+        exact = fixed and bool(np.abs(on_parts - s).max() <= 10 * ROUNDING * size)
         scale = self.rounding_scale(image)
-        size = min(size, self._size(v, image, scale))
         near = Projection(v, self._point(v, on_parts, size), on_parts, image, scale, exact, self)
         return near._replace(w=v.copy()) if self._hides_rest(near, size) else near
 
@@ -346,7 +340,7 @@ class Splitting:
     def _hides_rest(self, near: Projection, size: float) -> bool:
         """Whether v is in C but for what the projection rounds: that is known to first order."""
         p = near.p
-        if not (near.exact and p.any() and (np.abs(p) <= HIDDEN * size * self._sums[0]).all()):
+        if not (near.exact and p.any() and (np.abs(p) <= HIDDEN * size * self._sums).all()):
             return False
         moved = self.perturbation(near, p)
         return moved is not None and euclidean(p) <= 2 * euclidean(moved.w)
@@ -434,7 +428,7 @@ class Splitting:
 
         All parts are known to rounding of the largest one, which rows of F hand on.
         """
-        w, rounding = self.E @ s, ROUNDING * size * self._sums[0]
+        w, rounding = self.E @ s, ROUNDING * size * self._sums
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
     def normals(self, pull: Array, n: Array) -> tuple[Array, Array]:
@@ -480,11 +474,10 @@ class Splitting:
         known = [D for D in each if D is not None]
         if len(known) < len(each):
             return None
-        some = float(pull.any())  # 0 is normal everywhere
-        n = some * (near.image - s)
+        n = near.image - s
         normals, forces = self.normals(pull, n)
         left = np.concatenate([normals - n, -F @ s])
-        rounding = [sizes + forces + some * scale, np.abs(F) @ (np.abs(s) + scale)]
+        rounding = [sizes + forces + scale, np.abs(F) @ (np.abs(s) + scale)]
         rounded, shifts = ROUNDING / 4 * np.concatenate(rounding), np.zeros(len(self.E))
         for D in known:
             if D is known[0] or np.abs(D - known[0]).max() > 0.5:

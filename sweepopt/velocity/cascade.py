@@ -29,6 +29,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Array
+from sweepopt.errors import TouchingError
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.sets import Balls, Box, ConvexSet, shape_of
 from sweepopt.velocity.certificate import (
@@ -269,8 +270,12 @@ class Cascade:
                 return velocity
         # what moved last mostly still does, and whether it rests costs a projection
         if not self._rested or not self._rests(of):
-            velocity = self._solved(of)
-            self._rested = self._may_rest(of, velocity) and self._rests(of)
+            velocity, self._rested = self._solved(of), False
+            try:
+                self._rested = self._may_rest(of, velocity) and self._rests(of)
+            except TouchingError:  # a velocity that is known stands
+                if velocity.relative == math.inf:
+                    raise
             if not self._rested:
                 return velocity
         rest = at_rest(of.q)

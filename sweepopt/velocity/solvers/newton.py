@@ -88,12 +88,7 @@ class _Iteration:
     def __call__(self, q: Array, C: ConvexSet, start: Array | None = None) -> Answer:
         self._z = self._z if start is None else start
         near = not C.exact and C.block == C.dim and start is None
-        if near:
-            answer = self._nearest(q, C)
-            if answer is not None:
-                return answer
-        # a start that is exact but for rounding may end with the first residual
-        return self._iterate(q, C, stalled=int(near))
+        return (self._nearest(q, C) if near else None) or self._iterate(q, C)
 
     def _nearest(self, q: Array, C: ConvexSet) -> Answer | None:
         """The pair of a C whose own projection iterates: from one in the metric of M^-1.
@@ -108,12 +103,9 @@ class _Iteration:
         if known and self._bounded:
             bound = near.perturbation
             return Answer(near.z, status="iterated", w=near.w, normal=True, perturbation=bound)
-        T = C.weights(self._M.diagonal)  # all equal: C is one block
-        w, _ = self._M.apply(near.z, q, NEGLIGIBLE)
-        C.start_at(w - T * near.z, near.start.s, T[0] * near.start.n)
         return None
 
-    def _iterate(self, q: Array, C: ConvexSet, stalled: int) -> Answer:
+    def _iterate(self, q: Array, C: ConvexSet) -> Answer:
         """Newton steps until z is exact to rounding.
 
         If nothing is to be proved, until the residual is negligible, with the point of C to which
@@ -122,7 +114,7 @@ class _Iteration:
         z = self._z
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest = math.inf
+        smallest, stalled = math.inf, 0
         for iteration in range(self._max_iter):
             w, size_z = self._M.apply(z, q, NEGLIGIBLE if self._proved else math.inf)
             v = w - T * z
