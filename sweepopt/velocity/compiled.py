@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Array
+from sweepopt.checks import HUGE, Array
 from sweepopt.errors import IndefiniteError
 from sweepopt.linalg import Elimination, Factor, is_solid
 from sweepopt.sets import Box, ConvexSet, Point, Similar, exchange_matrix, same_array
@@ -91,6 +91,8 @@ class StateVelocity:
         data = M, metric, self._data, self._contact
         self._of_matrix = lru_cache(3)(partial(_new_inclusion, *data))  # all, few, the last M + H
         self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
+        # unproved, what it misses shows in the trajectory's residual
+        self._enough = self._tol if plan.proved else HUGE
         self.forget()
 
     def forget(self) -> None:
@@ -135,7 +137,7 @@ class StateVelocity:
                 mapped = self._by_return_mapping(
                     Instance(q - shifted, q, shifted, part, u, self._contact)
                 )
-                if mapped is not None and mapped.relative <= self._tol:
+                if mapped is not None and mapped.relative <= self._enough:
                     return mapped
         if self._set is None or self._set[0] is not S:
             self._set = S, S.copy_for_run(self._set and self._set[1])
@@ -143,8 +145,7 @@ class StateVelocity:
         of = Instance(q - c, q, c, S, u, few)
         inclusion = self._inclusion(of, few is not EVERY)
         best = self._by_cones(of) if self._plan.cones else unsolved(of)
-        # unproved, what it misses shows in the trajectory's residual
-        if best.relative <= self._tol or (best.relative < math.inf and not self._plan.proved):
+        if best.relative <= self._enough:
             return best
         if self._cascade is None or not self._cascade.serves(inclusion, S):
             data, anew = (inclusion, self._plan.solver, of, self._tol), self._cascade is not None
@@ -163,7 +164,7 @@ class StateVelocity:
         inclusion, mapping = self._mapping
         if inclusion.rests(of, self._tol):
             return at_rest(of.q)
-        velocity = refined(inclusion, partial(mapping.propose, of.S), of, self._tol)
+        velocity = refined(inclusion, partial(mapping.propose, of.S), of, self._enough)
         return velocity._replace(solver="return mapping", attempts=1)
 
     def _by_cones(self, of: Instance) -> Velocity:
