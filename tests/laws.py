@@ -568,6 +568,7 @@ def support_is_sublinear(entry, s, rng):
     sx, sy = s.C.support(x), s.C.support(y)
     unit = size(x, y) * size(s.C.offsets)
     assert np.isfinite([sx, sy]).all()
+    close(s.C.support_rows(np.array([x, y])), [sx, sy], entry.support_tol, unit)
     assert s.C.support(x + y) <= sx + sy + entry.support_tol * unit
     for factor in (1e-9, 0.3, 7.0, 1e9):
         close(s.C.support(factor * x), factor * sx, entry.support_tol, factor * unit)

@@ -77,6 +77,17 @@ def test_a_projection_that_is_written_to_is_found_again():
     np.testing.assert_array_equal(hull.project(v), [0.0, 1.0])
 
 
+def test_rows_that_move_are_projected_on_anew():
+    C, v = so.Polyhedron([[1.0, 1.0]], so.Separable([(so.Sine(2.0, 4.0), [1.0])])), 3 * np.ones(2)
+    np.testing.assert_allclose(C.shape.project(v), [0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(C.at(1.0).project(v), [1.0, 1.0])
+
+
+def test_the_hull_of_numbers_is_an_interval():
+    hull = so.Polytope([[2.0], [-1.0], [0.5]])
+    assert [hull.project([x])[0] for x in (-3.0, 0.7, 5.0)] == [-1.0, 0.7, 2.0]
+
+
 def test_another_matrix_is_another_cone():
     pairs = [
         (so.Polyhedron(EYE, [1, 1]), so.Polyhedron(2 * EYE, [1, 1])),

@@ -124,7 +124,8 @@ class Polyhedron(ConvexSet):
     def with_offsets(self, h: Any) -> Polyhedron:
         """{ w : G w <= h } with the same matrix object, so that `same_cone` is free."""
         other = copy.copy(self)
-        other.__dict__.pop("selection", None)
+        for made in ("selection", "_last"):
+            other.__dict__.pop(made, None)
         other._set_offsets(h)
         return other
 
@@ -267,8 +268,8 @@ class Polyhedron(ConvexSet):
         return size * weights * result.x
 
     def normal(self, v: Array) -> Array:
-        exact = self._exact_normal(v)
-        return normal_by_program(self, v) if exact is None else exact.u
+        exact = self._memo(v, self._exact_normal)
+        return normal_by_program(self, v) if exact is None else exact.u.copy()
 
     def _exact_normal(
         self,
@@ -339,7 +340,7 @@ class Polyhedron(ConvexSet):
         return bool((slack / self._lengths >= distance).all())
 
     def derivative(self, v: Array) -> Array | None:
-        normal = self._exact_normal(v)
+        normal = self._memo(v, self._exact_normal)
         if normal is None:
             return None
         return np.eye(self.dim) - projector(dense(self.rows[normal.active]))
