@@ -307,7 +307,8 @@ def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> So
     # the bound has what an implicit scheme does in long steps; an explicit one may blow up
     unstable = options.on_unstable if scheme.explicit else "ignore"
     run, last_pass = _passes(process, replace(options, on_unstable=unstable))
-    tol, cause, times = error, "", with_breakpoints(process, times)
+    # an adaptive pass at least doubles the steps: a run that may be accurate enough is tried before
+    tol, cause, times = 2 * error, "", with_breakpoints(process, times)
     sol = run(times, options.tol)
     while sol.success:
         try:
@@ -325,7 +326,7 @@ def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> So
                 f"{len(sol.t) - 1} steps: {cause}",
                 solution=sol,
             )
-        if sol.passes[1:]:
+        if sol.passes[1:] or bound <= tol:
             tol *= min(0.5, max(0.1, 0.8 * error / bound))
         sol, cause = adapt(run, process, Adaptive(tol), sol, bound)
     return sol
