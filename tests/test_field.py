@@ -88,3 +88,12 @@ def test_a_set_that_is_known_later_only_is_compiled_by_the_first_call():
     assert velocity(3.5, [0.0, 0.0]) == pytest.approx([1.0, 0.0])
     with refuses("lies outside the table"):
         velocity(1.0, [0.0, 0.0])
+
+
+def test_a_set_that_moves_away_from_a_body_at_rest_at_0_is_found():
+    E = np.array([[1.0, 0.3, 0.2], [0.1, 1.0, -0.4]])
+    C = so.MovingSet(lambda t: so.image(E, so.Box(np.full(3, 2 * t - 1), np.full(3, 2 * t + 1))))
+    velocity = so.velocity_field(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, np.zeros(2)))
+    assert velocity(0.0, [10.0, 3.0]).all()
+    assert velocity(0.0, [0.0, 0.0]).tolist() == [0.0, 0.0]  # solvers start from 0 next
+    np.testing.assert_allclose(velocity(1.0, [0.0, 0.0]), E @ [1.0, 1.0, 1.0])

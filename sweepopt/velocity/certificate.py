@@ -276,7 +276,7 @@ def rated(z: Array, certificate: float, size: float, solver: str = "") -> Veloci
     What is not exact is known to one rounding of this size at best.
     """
     certificate += UNIT * size if certificate else 0.0
-    relative = certificate / size if size else certificate * math.inf  # nan stays nan
+    relative = certificate / size if size else float(certificate) * math.inf  # nan stays nan
     return Velocity(z, certificate, float(relative) if certificate else 0.0, solver)
 
 
