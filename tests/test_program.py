@@ -395,3 +395,12 @@ def test_a_sum_of_ellipsoids_far_away_slides_along_two_axes_alone(p):
     C = so.Ellipsoid(np.full(3, 3e3), D) + so.Ellipsoid(np.zeros(3), E)
     w = 3e3 + D @ p / np.sqrt(p @ D @ p) + E @ p / np.sqrt(p @ E @ p)
     assert stuck_in(C, w, p) == (p == 0).tolist()
+
+
+@pytest.mark.parametrize("beyond", [5e-14, 7e-14])
+def test_a_force_next_to_the_boundary_is_certified_sharply(beyond):
+    """Of a pull of 0 nothing is normal but 0: what rounds in points of the parts is no normal."""
+    C = so.Ellipsoid([-1.75, -2.0, 2.0], np.diag([1.0, 4.0, 9.0])) & so.Box([-2, -9, -9], [9, 9, 9])
+    process = so.SweepingProcess(np.diag([0.01, 0.1, 10.0]), np.eye(3), C, np.zeros(3))
+    z = so.velocity_field(process, tol=1e-8)(0.0, [-1.75, beyond, 2.0])  # refuses 1.3e-7
+    np.testing.assert_allclose(z, 0.0, atol=1e-11)

@@ -475,10 +475,11 @@ class Splitting:
         known = [D for D in each if D is not None]
         if len(known) < len(each):
             return None
-        n = near.image - s
+        some = float(pull.any())  # 0 is normal everywhere
+        n = some * (near.image - s)
         normals, forces = self.normals(pull, n)
         left = np.concatenate([normals - n, -F @ s])
-        rounding = [sizes + forces + scale, np.abs(F) @ (np.abs(s) + scale)]
+        rounding = [sizes + forces + some * scale, np.abs(F) @ (np.abs(s) + scale)]
         rounded, shifts = ROUNDING / 4 * np.concatenate(rounding), np.zeros(len(self.E))
         for D in known:
             if D is known[0] or np.abs(D - known[0]).max() > 0.5:
