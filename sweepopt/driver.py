@@ -327,7 +327,7 @@ def _refine(process: SweepingProcess, options: SolveOptions, error: float) -> So
                 solution=sol,
             )
         if sol.passes[1:] or bound <= tol:
-            tol *= min(0.5, max(0.1, 0.8 * error / bound))
+            tol *= 0.5
         sol, cause = adapt(run, process, Adaptive(tol), sol, bound)
     return sol
 

@@ -889,6 +889,19 @@ def test_an_error_is_delivered_by_few_steps(load, A, B, u0, steps, error, most):
 
 
 @pytest.mark.filterwarnings("ignore:B u0 is not in C")
+def test_estimates_that_miss_the_first_layer_ask_for_few_steps_too_many():
+    # the bound is 10 times the tolerance that was met: 485 steps if that falls by as much, now 253
+    push = so.Separable([(so.Sine(1.0, period=1.7), [1.0, 0.5])])
+    C = so.Moving(so.Box([-0.5, -0.5], [0.5, 0.5]), center=push)
+    process = so.SweepingProcess(np.eye(2) / 300, [[2.0, -1.0], [-1.0, 2.0]], C, [1.5, -1.0])
+    bounded = partial(so.solve, process, t_end=1.0, steps=8, scheme="implicit-euler")
+    error = 0.08 * bounded().error_bound()
+    sol = bounded(error=error)
+    assert sol.error_bound() <= error
+    assert len(sol.t) < 300
+
+
+@pytest.mark.filterwarnings("ignore:B u0 is not in C")
 def test_an_error_that_falls_on_short_steps_only_is_delivered():
     # u jumps at first, in a time of 1 / Lam = 1e-3: no step of the first two grids sees that
     pull = so.Constant(3.0)
