@@ -120,7 +120,7 @@ class Projector:
         pull = plain.E.T @ v
         if start is not None and (
             start.s.size != pull.size
-            # what cancels among normals, as of opposite rows, stays from larger forces; 0 and 0 tell
+            # what cancels among normals, as of opposite rows, stays from larger forces; zeros tell
             # nothing of a set that does not hold 0
             or np.abs(start.n / plain.units).max() >= TENSION * np.abs(pull).max()
         ):
