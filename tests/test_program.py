@@ -404,3 +404,22 @@ def test_a_force_next_to_the_boundary_is_certified_sharply(beyond):
     process = so.SweepingProcess(np.diag([0.01, 0.1, 10.0]), np.eye(3), C, np.zeros(3))
     z = so.velocity_field(process, tol=1e-8)(0.0, [-1.75, beyond, 2.0])  # refuses 1.3e-7
     np.testing.assert_allclose(z, 0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "C",
+    [
+        so.Polyhedron([[1, 1], [-1, 1], [0, -1]], [1, 1, 1]),
+        so.Polytope([[1, 0], [0, 1], [-1, -1]]),
+    ],
+    ids=["polyhedron", "hull"],
+)
+def test_a_body_that_moved_comes_to_rest_at_0_to_the_last_bit(C):
+    """Solvers, which are asked first then, leave rounding."""
+    M = np.array([[2.0, 0.6], [0.6, 1.0]])
+    velocity = so.velocity_field(so.SweepingProcess(M, np.eye(2), C, np.zeros(2)))
+    for angle in np.linspace(0.0, 6.2, 24):
+        far = 20 * np.array([np.cos(angle), np.sin(angle)])
+        for share in (1.0, 0.999):
+            assert velocity(0.0, far).all()
+            assert velocity(0.0, share * C.project(far)).tolist() == [0.0, 0.0]
