@@ -351,3 +351,9 @@ def test_factors_of_one_pattern_refuse_what_is_not_positive_definite():
     with pytest.raises(ArithmeticError):
         factorise(indefinite)
     np.testing.assert_allclose(full @ factorise(lower.data)(w), w)
+
+
+def test_a_dense_matrix_of_nan_has_no_factors():
+    """LAPACK as OpenBLAS has it reports nothing."""
+    with pytest.raises(scipy.linalg.LinAlgError):
+        cholesky.factorised(np.array([[np.nan]]))
