@@ -256,7 +256,7 @@ class Cascade:
             for part in map(shape_of, of.S.form().parts)
         )
         self._attempts = attempts(solver, M, of.S, tol, anew or not proved)
-        self._rested = True
+        self._at_rest = True  # of the velocity before; the first is asked whether it rests
 
     def serves(self, inclusion: Inclusion, S: ConvexSet) -> bool:
         """Whether its programs are those of this inclusion and this set."""
@@ -269,14 +269,14 @@ class Cascade:
             if velocity is not None:
                 return velocity
         # what moved last mostly still does, and whether it rests costs a projection
-        if not self._rested or not self._rests(of):
-            velocity, self._rested = self._solved(of), False
+        if not self._at_rest or not self._rests(of):
+            velocity, self._at_rest = self._moving(of), False
             try:
-                self._rested = self._may_rest(of, velocity) and self._rests(of)
+                self._at_rest = self._may_rest(of, velocity) and self._rests(of)
             except TouchingError:  # a velocity that is known stands
                 if velocity.relative == math.inf:
                     raise
-            if not self._rested:
+            if not self._at_rest:
                 return velocity
         rest = at_rest(of.q)
         return rest if self._proved else rest._replace(w=of.projection(of.force) + of.c)
@@ -289,7 +289,7 @@ class Cascade:
         M, error = self._inclusion.M, velocity.certificate if self._proved else 0.0
         return not M.norm(velocity.z) > error + M.bound_factor * of.most_at_rest / M.root.min()
 
-    def _solved(self, of: Instance) -> Velocity:
+    def _moving(self, of: Instance) -> Velocity:
         """By the formula of a diagonal M, or by solvers."""
         inclusion, tol = self._inclusion, self._tol
         if not self._proved:  # wrong answers show in the trajectory's residual
