@@ -285,7 +285,9 @@ class Cascade:
         return self._inclusion.rests(of, self._tol) if self._proved else of.rests()
 
     def _may_rest(self, of: Instance, velocity: Velocity) -> bool:
-        """Whether it is so slow: |z*|_M is the distance of the force to C in |.|_{M^-1}."""
+        """Whether a body so slow may rest: |z*|_M, the distance of its force to C in |.|_{M^-1}, is
+        then at most that of rounding.
+        """
         M, error = self._inclusion.M, velocity.certificate if self._proved else 0.0
         return not M.norm(velocity.z) > error + M.bound_factor * of.most_at_rest / M.root.min()
 

@@ -91,8 +91,8 @@ class StateVelocity:
         data = M, metric, self._data, self._contact
         self._of_matrix = lru_cache(3)(partial(_new_inclusion, *data))  # all, few, the last M + H
         self._tol = plan.tol if math.isfinite(plan.tol) else 1e-6  # where all is welcome
-        # unproved, what it misses shows in the trajectory's residual
-        self._enough = self._tol if plan.proved else HUGE
+        # of certificates: unproved, what a velocity misses shows in the trajectory's residual
+        self._limit = self._tol if plan.proved else HUGE
         self.forget()
 
     def forget(self) -> None:
@@ -137,7 +137,7 @@ class StateVelocity:
                 mapped = self._by_return_mapping(
                     Instance(q - shifted, q, shifted, part, u, self._contact)
                 )
-                if mapped is not None and mapped.relative <= self._enough:
+                if mapped is not None and mapped.relative <= self._limit:
                     return mapped
         if self._set is None or self._set[0] is not S:
             self._set = S, S.copy_for_run(self._set and self._set[1])
@@ -145,7 +145,7 @@ class StateVelocity:
         of = Instance(q - c, q, c, S, u, few)
         inclusion = self._inclusion(of, few is not EVERY)
         best = self._by_cones(of) if self._plan.cones else unsolved(of)
-        if best.relative <= self._enough:
+        if best.relative <= self._limit:
             return best
         if self._cascade is None or not self._cascade.serves(inclusion, S):
             data, anew = (inclusion, self._plan.solver, of, self._tol), self._cascade is not None
@@ -164,7 +164,7 @@ class StateVelocity:
         inclusion, mapping = self._mapping
         if inclusion.rests(of, self._tol):
             return at_rest(of.q)
-        velocity = refined(inclusion, partial(mapping.propose, of.S), of, self._enough)
+        velocity = refined(inclusion, partial(mapping.propose, of.S), of, self._limit)
         return velocity._replace(solver="return mapping", attempts=1)
 
     def _by_cones(self, of: Instance) -> Velocity:
